@@ -125,7 +125,7 @@ def simulator(task: str = "pickup") -> str:
 
 def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, again = tmp_path / "data.h5", tmp_path / "again.h5"
-    options = ["--episodes", 3, "--seed", 7, "--distractors", 2, "--objects", 1, "--resting", 0.34]
+    options = ["--episodes", 3, "--seed", 7, "--distractors", 2, "--resting", 0.34]
     done("collect", "pickup", *options, "--out", path)
     captured = capsys.readouterr()
     assert captured.out.splitlines() == [
@@ -134,7 +134,7 @@ def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ]
     assert captured.err.splitlines()[-1] == "collecting: 3 of 3"
     dataset = read_trajectories(path)
-    given = {"distractors": 2, "objects": 1, "simulator": simulator()}
+    given = {"distractors": 2, "simulator": simulator()}
     assert dataset.metadata == {"task": "pickup", "seed": 7, **given}
     assert [run.scene.node_count for run in dataset] == [4, 4, 4]
     assert [bool(np.any(run.control)) for run in dataset] == [True, True, False]

@@ -13,7 +13,6 @@ import pytest
 from contactgraph.cli import main as cli
 from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.models import stored_model
-from contactgraph.cli.task_types import TaskOptions
 from contactgraph.cli.tasks import task_factory
 from contactgraph.control import (
     LearnedContact,
@@ -199,7 +198,7 @@ def test_the_largest_force_is_the_task_s_or_the_flag_s(
 @pytest.mark.parametrize("name", TASKS)
 def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
     try:
-        box = task_factory(name, TaskOptions())().action_space
+        box = task_factory(name, {})().action_space
     except InvalidInputError as error:
         pytest.skip(str(error))  # its package is missing
     # Only a bound that is the same for all components and both directions is one number.

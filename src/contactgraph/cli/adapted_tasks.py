@@ -1,12 +1,10 @@
 """The table of the tasks that are other people's environments."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from contactgraph.cli.task_types import KnownTask, TaskFactory, TaskOptions, without_options
+from contactgraph.cli.task_types import KnownTask
 from contactgraph.envs import fetch
-from contactgraph.envs.adapter import AdaptedTask
 from contactgraph.envs.pusht import (
     pusht_expert,
     pusht_explorer,
@@ -15,14 +13,8 @@ from contactgraph.envs.pusht import (
     pusht_task,
 )
 
-
-def _factory(name: str, make: Callable[[], AdaptedTask], options: TaskOptions) -> TaskFactory:
-    reason = "is another package's environment and takes no options"
-    return without_options(name, make, reason, options)
-
-
 _PUSHT = KnownTask(
-    partial(_factory, "pusht", pusht_task),
+    pusht_task,
     pusht_expert,
     pusht_fixed_start,
     pusht_fixed_start,
@@ -38,12 +30,12 @@ ADAPTED_TASKS = {
     "pusht": _PUSHT,
     "pusht-pose": replace(
         _PUSHT,
-        factory=partial(_factory, "pusht-pose", pusht_pose_task),
+        make=pusht_pose_task,
         summary="as pusht, with its own success: the T covers 95 % of its outline at the goal",
         title="A contact graph that pushes a T to a pose",
     ),
     "fetch-push": KnownTask(
-        partial(_factory, "fetch-push", partial(fetch.fetch_task, fetch.PUSH)),
+        partial(fetch.fetch_task, fetch.PUSH),
         fetch.push_expert,
         fetch.push_fixed_start,
         fetch.push_fixed_start,
@@ -55,7 +47,7 @@ ADAPTED_TASKS = {
         title="A contact graph that pushes a block with an arm",
     ),
     "fetch-slide": KnownTask(
-        partial(_factory, "fetch-slide", partial(fetch.fetch_task, fetch.SLIDE)),
+        partial(fetch.fetch_task, fetch.SLIDE),
         fetch.slide_expert,
         fetch.slide_fixed_start,
         fetch.slide_fixed_start,
@@ -67,7 +59,7 @@ ADAPTED_TASKS = {
         title="A contact graph that strikes a puck",
     ),
     "fetch-pick-and-place": KnownTask(
-        partial(_factory, "fetch-pick-and-place", partial(fetch.fetch_task, fetch.PICK_AND_PLACE)),
+        partial(fetch.fetch_task, fetch.PICK_AND_PLACE),
         fetch.pick_expert,
         fetch.pick_fixed_start,
         fetch.pick_fixed_start,

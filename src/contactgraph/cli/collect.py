@@ -71,7 +71,7 @@ class Collect:
             open_executor,
         )
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.task_types import TaskOptions
+        from contactgraph.cli.task_types import given_options, options_metadata
         from contactgraph.cli.tasks import known_task, mixed_factories, task_factory
         from contactgraph.envs import RestPolicy
         from contactgraph.envs.episodes import collect, fixed_seed
@@ -79,16 +79,9 @@ class Collect:
         check_episodes(self.episodes)
         check_seed(self.seed)
         shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
-        options = TaskOptions(
-            self.distractors,
-            self.objects,
-            self.grasp,
-            shared,
-            passive=self.passive,
-            hidden_switch=self.hidden_switch,
-            lose_grasp=self.lose_grasp,
-            engine=self.engine,
-        )
+        options = given_options(self)
+        if shared is not None:
+            options["fixed_seed"] = shared
         if self.mixed:
             factories = mixed_factories(self.task, options)
         else:
@@ -135,7 +128,7 @@ class Collect:
                 executor=executor,
                 recorded=unfinished.recorded,
             )
-        metadata = {"task": self.task, "seed": self.seed, **options.metadata}
+        metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
         if self.mixed:
             metadata["mixed"] = True
         if demonstrates:

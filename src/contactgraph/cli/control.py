@@ -31,7 +31,6 @@ from contactgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from contactgraph.cli.task_types import TaskOptions
     from contactgraph.data import Trajectory
     from contactgraph.evaluate import ClosedLoopMetrics, EpisodeRecord
     from contactgraph.viz import SceneTrajectory
@@ -136,7 +135,7 @@ class Control:
         from contactgraph.cli.models import data_simulator, motion_evidence, stored_model
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.task_types import TaskOptions
+        from contactgraph.cli.task_types import given_options
         from contactgraph.cli.tasks import known_task, task_factory
         from contactgraph.control import read_cost, searches
         from contactgraph.data import Dataset, InvalidInputError
@@ -149,16 +148,7 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
-        options = TaskOptions(
-            self.distractors,
-            self.objects,
-            self.grasp,
-            radius=self.radius,
-            hidden_switch=self.hidden_switch,
-            lose_grasp=self.lose_grasp,
-            in_the_way=self.in_the_way,
-            engine=self.engine,
-        )
+        options = given_options(self)
         if self.model in _SCRIPTED:
             return self._write(self._by_policy(options), options)
         known = known_task(self.task)
@@ -246,7 +236,7 @@ class Control:
         )
         return self._write(controlled, options)
 
-    def _by_policy(self, options: "TaskOptions") -> _Controlled:
+    def _by_policy(self, options: Mapping[str, Any]) -> _Controlled:
         """By a scripted policy, which predicts, plans and estimates nothing."""
         from contactgraph.cli.control_output import not_planned, not_predicted
         from contactgraph.cli.output import progress
@@ -286,15 +276,16 @@ class Control:
         )
 
     def _write(
-        self, controlled: _Controlled, options: "TaskOptions"
+        self, controlled: _Controlled, options: Mapping[str, Any]
     ) -> "Callable[[str], SceneTrajectory]":
         """The files that are asked for, and the summary."""
         from contactgraph.cli.control_output import print_summary
         from contactgraph.cli.output import write_json
+        from contactgraph.cli.task_types import options_metadata
         from contactgraph.data import Metadata, write_trajectories
         from contactgraph.viz import write_animation
 
-        metadata: Metadata = {"task": self.task, "seed": self.seed, **options.metadata}
+        metadata: Metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
         if self.save is not None:
             write_trajectories(self.save, controlled.trajectories, metadata)
         if self.video is not None:

@@ -2,13 +2,7 @@
 
 from functools import partial
 
-from contactgraph.cli.task_types import (
-    KnownTask,
-    TaskFactory,
-    TaskOptions,
-    TestCondition,
-    refuse_option,
-)
+from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph.envs import (
     CarryExpert,
     DelayTask,
@@ -26,34 +20,9 @@ _CONDITIONS = (
 )
 
 
-def _suction(options: TaskOptions) -> TaskFactory:
-    _refuse("suction", options)
-    task = partial(SuctionTask, options.distractors, fixed_seed=options.fixed_seed)
-    return partial(task, hidden_switch=options.hidden_switch, lose_grasp=options.lose_grasp)
-
-
-def _one_target(
-    name: str, task: type[ReleaseTask] | type[DelayTask], options: TaskOptions
-) -> TaskFactory:
-    _refuse(name, options)
-    return partial(task, options.distractors, fixed_seed=options.fixed_seed)
-
-
-def _sticky(options: TaskOptions) -> TaskFactory:
-    refuse_option("sticky", "--grasp", options.grasp, "has no fingers to close")
-    task = StickyTask if options.objects is None else partial(StickyTask, options.objects)
-    return partial(task, distractors=options.distractors, fixed_seed=options.fixed_seed)
-
-
-def _refuse(name: str, options: TaskOptions) -> None:
-    refuse_option(name, "--grasp", options.grasp, "has no fingers to close")
-    if options.objects != 1:
-        refuse_option(name, "--objects", options.objects, "has 1 object")
-
-
 HIDDEN_CONTACT_TASKS = {
     "suction": KnownTask(
-        _suction,
+        SuctionTask,
         SuctionExpert,
         partial(SuctionExpert, noise=0.0),
         explorer=HandlingPolicy,
@@ -63,7 +32,7 @@ HIDDEN_CONTACT_TASKS = {
         conditions=_CONDITIONS,
     ),
     "release": KnownTask(
-        partial(_one_target, "release", ReleaseTask),
+        ReleaseTask,
         CarryExpert,
         partial(CarryExpert, noise=0.0),
         explorer=HandlingPolicy,
@@ -72,7 +41,7 @@ HIDDEN_CONTACT_TASKS = {
         conditions=_CONDITIONS,
     ),
     "delay": KnownTask(
-        partial(_one_target, "delay", DelayTask),
+        DelayTask,
         CarryExpert,
         partial(CarryExpert, noise=0.0),
         explorer=HandlingPolicy,
@@ -81,7 +50,7 @@ HIDDEN_CONTACT_TASKS = {
         conditions=_CONDITIONS,
     ),
     "sticky": KnownTask(
-        _sticky,
+        StickyTask,
         StickyExpert,
         partial(StickyExpert, noise=0.0),
         explorer=HandlingPolicy,

@@ -47,7 +47,6 @@ class Info:
 
 
 def _print_names() -> None:
-    from contactgraph.cli.task_types import TaskOptions
     from contactgraph.cli.tasks import known_task, task_factory, task_names
     from contactgraph.data import InvalidInputError
     from contactgraph.model import shipped_model, shipped_models
@@ -62,7 +61,7 @@ def _print_names() -> None:
     print("tasks:")
     for name in task_names():
         try:
-            task_factory(name, TaskOptions())
+            task_factory(name, {})
             text = known_task(name).summary
         except (InvalidInputError, ImportError) as error:  # a missing extra
             text = f"not available: {error}"

@@ -1,19 +1,11 @@
 """The table of the library's own tasks."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
 from contactgraph.cli.hidden_contact_tasks import HIDDEN_CONTACT_TASKS
-from contactgraph.cli.task_types import (
-    KnownTask,
-    TaskFactory,
-    TaskOptions,
-    TestCondition,
-    refuse_option,
-    without_options,
-)
+from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
@@ -32,62 +24,13 @@ from contactgraph.envs import (
     TossTask,
     UnknownMassTask,
 )
-from contactgraph.envs.shaped_tasks import VerticalTask
+from contactgraph.envs.contract import Task
 
 
-def _pickup(options: TaskOptions) -> TaskFactory:
-    refuse_option("pickup", "--grasp", options.grasp, "has no fingers to close")
-    if options.objects != 1:
-        refuse_option("pickup", "--objects", options.objects, "has 1 object")
-    task = partial(
-        PickupTask,
-        options.distractors,
-        fixed_seed=options.fixed_seed,
-        in_the_way=options.in_the_way,
-    )
-    return task if options.radius is None else partial(task, radius=options.radius)
-
-
-def _multi_pickup(options: TaskOptions) -> TaskFactory:
-    refuse_option("multi-pickup", "--grasp", options.grasp, "has no fingers to close")
-    task = MultiPickupTask if options.objects is None else partial(MultiPickupTask, options.objects)
-    return partial(task, distractors=options.distractors, fixed_seed=options.fixed_seed)
-
-
-def _door(options: TaskOptions) -> TaskFactory:
-    refuse_option("door", "--grasp", options.grasp, "has no fingers to close")
-    refuse_option("door", "--objects", options.objects, "has no objects to count")
-    return partial(DoorTask, options.distractors, fixed_seed=options.fixed_seed)
-
-
-def _billiards(options: TaskOptions) -> TaskFactory:
-    refuse_option("billiards", "--grasp", options.grasp, "has no fingers to close")
-    distractors = options.distractors or None
-    refuse_option("billiards", "--distractors", distractors, "counts its discs by --objects")
-    task = BilliardsTask if options.objects is None else partial(BilliardsTask, options.objects)
-    return partial(task, passive=options.passive, fixed_seed=options.fixed_seed)
-
-
-def _springs(options: TaskOptions) -> TaskFactory:
-    make = SpringsTask if options.objects is None else partial(SpringsTask, options.objects)
-    others = replace(options, objects=None)
-    return without_options("springs", make, "takes no option but --objects", others)
-
-
-def _unknown_mass(options: TaskOptions) -> TaskFactory:
-    refuse_option("unknown-mass", "--grasp", options.grasp, "has no fingers to close")
-    refuse_option("unknown-mass", "--objects", options.objects, "has 1 target")
-    return partial(UnknownMassTask, options.distractors, fixed_seed=options.fixed_seed)
-
-
-def _alone(task: type[VerticalTask], options: TaskOptions) -> TaskFactory:
-    return without_options(task.name, task, "takes no options", options)
-
-
-def _passive(factory: Callable[[TaskOptions], TaskFactory], summary: str) -> KnownTask:
+def _passive(make: Callable[[], Task], summary: str) -> KnownTask:
     """A task in which nothing is driven."""
     return KnownTask(
-        factory,
+        make,
         RestPolicy,
         RestPolicy,
         explorer=RestPolicy,
@@ -99,7 +42,7 @@ def _passive(factory: Callable[[TaskOptions], TaskFactory], summary: str) -> Kno
 
 TASKS = {
     "pickup": KnownTask(
-        _pickup,
+        PickupTask,
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper picks up an object and takes it to a goal",
@@ -111,7 +54,7 @@ TASKS = {
         ),
     ),
     "multi-pickup": KnownTask(
-        _multi_pickup,
+        MultiPickupTask,
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper picks up objects in turn and takes them to a goal",
@@ -122,7 +65,7 @@ TASKS = {
         ),
     ),
     "door": KnownTask(
-        _door,
+        DoorTask,
         DoorExpert,
         partial(DoorExpert, noise=0.0),
         summary="a gripper opens a hinged door to an angle",
@@ -133,7 +76,7 @@ TASKS = {
         ),
     ),
     "billiards": KnownTask(
-        _billiards,
+        BilliardsTask,
         BilliardsExpert,
         partial(BilliardsExpert, noise=0.0),
         partial(BilliardsExpert, noise=0.0),
@@ -148,20 +91,18 @@ TASKS = {
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
     ),
-    "toss": _passive(partial(_alone, TossTask), "a box is tossed onto the floor (MuJoCo)"),
-    "dominoes": _passive(
-        partial(_alone, DominoesTask), "a row of ten dominoes falls, as far as it does (MuJoCo)"
-    ),
-    "stack": _passive(partial(_alone, StackTask), "three boxes stand on one another (MuJoCo)"),
+    "toss": _passive(TossTask, "a box is tossed onto the floor (MuJoCo)"),
+    "dominoes": _passive(DominoesTask, "a row of ten dominoes falls, as far as it does (MuJoCo)"),
+    "stack": _passive(StackTask, "three boxes stand on one another (MuJoCo)"),
     "chain": KnownTask(
-        partial(without_options, "chain", ChainTask, "takes no options"),
+        ChainTask,
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper drags two links, joined by a hinge, to a goal",
         title="A contact graph that drags a chain",
     ),
     "unknown-mass": KnownTask(
-        _unknown_mass,
+        UnknownMassTask,
         ForcedPush,
         partial(ForcedPush, noise=0.0, variety=0.0),
         partial(ForcedPush, noise=0.0, variety=0.0),
@@ -175,7 +116,7 @@ TASKS = {
             TestCondition("3-distractors", "3 distractors", False, distractors=3),
         ),
     ),
-    "springs": _passive(_springs, "bodies on springs that nothing shows; nothing is driven"),
+    "springs": _passive(SpringsTask, "bodies on springs that nothing shows; nothing is driven"),
     **HIDDEN_CONTACT_TASKS,
     **ADAPTED_TASKS,
 }

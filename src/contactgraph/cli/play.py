@@ -112,13 +112,13 @@ def _is_driven(task: "KnownTask") -> bool:
 def stage_parts(choice: "StageChoice") -> "StageParts":
     """The model and the task of these names; raises `InvalidInputError`."""
     from contactgraph.cli.models import motion_evidence, stored_model
-    from contactgraph.cli.task_types import TaskOptions
     from contactgraph.cli.tasks import known_task, task_factory
     from contactgraph.control import searches
     from contactgraph.play import StageParts
 
     known = known_task(choice.task)
-    factory = task_factory(choice.task, TaskOptions(choice.distractors))
+    options = {"distractors": choice.distractors} if choice.distractors else {}
+    factory = task_factory(choice.task, options)
     model = stored_model(choice.model)
     return StageParts(
         model=model,

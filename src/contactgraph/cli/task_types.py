@@ -1,52 +1,32 @@
-"""The entry of a task: options of its scenes, factory, policies and test conditions."""
+"""The entry of a task: how it is made, its policies and test conditions."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from operator import ne
+from typing import Any
 
-from contactgraph.data import InvalidInputError
 from contactgraph.envs import ExplorationPolicy
 from contactgraph.envs.contract import Policy, Task
 from contactgraph.envs.gripper_task import MAX_FORCE
 
+FLAGS = (
+    *("distractors", "objects", "grasp", "radius", "passive", "hidden_switch", "lose_grasp"),
+    *("in_the_way", "engine"),
+)
+"""Arguments of tasks that are flags of the commands; ``fixed_seed`` is ``--goal fixed``."""
 
-@dataclass(frozen=True)
-class TaskOptions:
-    """Options of a task's scenes, as given on the command line. None: the task's default."""
 
-    distractors: int = 0
-    objects: int | None = None
-    grasp: str | None = None
-    fixed_seed: int | None = None
-    """Seed of the scene whose targets and goal all episodes share."""
-    radius: float | None = None
-    """Radius of every body, m."""
-    passive: bool = False
-    """Whether nothing is driven, so that the control is empty."""
-    hidden_switch: bool = False
-    """Whether a random process, which nothing records, operates the gripper's switch."""
-    lose_grasp: float = 0.0
-    """Share of the episodes in which a grasp is lost on the way."""
-    in_the_way: bool = False
-    """Whether a straight way touches two distractors or more."""
-    engine: str | None = None
-    """Physics engine of a planar task."""
+def given_options(command: Any) -> dict[str, Any]:
+    """The options of a command's scenes that differ from its defaults, by name."""
+    values = {each.name: (getattr(command, each.name), each.default) for each in fields(command)}
+    return {name: values[name][0] for name in FLAGS if name in values and ne(*values[name])}
 
-    @property
-    def metadata(self) -> dict[str, str | int | float]:
-        """The given options, for the metadata of written files."""
-        goal = None if self.fixed_seed is None else "fixed"
-        names = ("objects", "grasp", "goal", "radius")
-        options = zip(names, (self.objects, self.grasp, goal, self.radius), strict=True)
-        given = {name: value for name, value in options if value is not None}
-        if self.passive:
-            given["passive"] = True
-        if self.hidden_switch:
-            given["hidden_switch"] = True
-        if self.lose_grasp:
-            given["lose_grasp"] = self.lose_grasp
-        if self.in_the_way:
-            given["in_the_way"] = True
-        return {"distractors": self.distractors, **given}
+
+def options_metadata(options: Mapping[str, Any]) -> dict[str, str | int | float]:
+    """The options of scenes, for the metadata of written files."""
+    goal = {} if options.get("fixed_seed") is None else {"goal": "fixed"}
+    named = {name: value for name, value in options.items() if name in FLAGS and name != "engine"}
+    return {"distractors": 0, **named, **goal}
 
 
 @dataclass(frozen=True)
@@ -81,7 +61,8 @@ TaskFactory = Callable[[], Task]
 class KnownTask:
     """A task that has a name on the command line."""
 
-    factory: Callable[[TaskOptions], TaskFactory]
+    make: Callable[..., Task]
+    """The task's class, or a function; its arguments are the options of the task's scenes."""
     expert: Callable[[], Policy]
     """Makes the policy to train on: noise on its force distinguishes mass from damping."""
     demonstrator: Callable[[], Policy]
@@ -104,20 +85,3 @@ class KnownTask:
     """Title of the report page."""
     conditions: tuple[TestCondition, ...] = (TestCondition("as-trained", "as trained", True),)
     """Test conditions: the one in distribution first, the hardest last."""
-
-
-def refuse_option(task: str, flag: str, value: object, reason: str) -> None:
-    """Raises `InvalidInputError` where an option that the task does not take is given."""
-    if value is not None:
-        raise InvalidInputError(f"{flag}: {task} {reason}, found {value!r}")
-
-
-def without_options(
-    name: str, make: Callable[[], Task], reason: str, options: TaskOptions
-) -> TaskFactory:
-    """The factory of a task without options; raises `InvalidInputError` where one is given."""
-    refuse_option(name, "--distractors", options.distractors or None, reason)
-    refuse_option(name, "--objects", options.objects, reason)
-    refuse_option(name, "--grasp", options.grasp, reason)
-    refuse_option(name, "--goal fixed", options.fixed_seed, reason)
-    return make

@@ -56,12 +56,12 @@ class SpringsTask(GripperTask):
 
     name = "springs"
 
-    def __init__(self, bodies: int = 5) -> None:
-        if not 2 <= bodies <= MAX_BODIES:
-            raise InvalidInputError(f"objects must be 2 to {MAX_BODIES}, found {bodies}")
-        super().__init__(bodies, SPRING_STEPS, 5.0, dt=SPRING_DT)
+    def __init__(self, objects: int = 5) -> None:
+        if not 2 <= objects <= MAX_BODIES:
+            raise InvalidInputError(f"objects must be 2 to {MAX_BODIES}, found {objects}")
+        super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT)
         self.action_space = gymnasium.spaces.Box(0.0, 0.0, (0,), np.float64)
-        self._bodies = bodies
+        self._bodies = objects
 
     def begin(self, seed: int) -> tuple[Scene, SpringWorld]:
         """Positions normally distributed, all speeds equal, half the pairs joined."""

@@ -1,31 +1,30 @@
 """The task `franka` for the entry point group `contactgraph.tasks`; MuJoCo is imported on use."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from contactgraph.cli.options import choice
-from contactgraph.cli.task_types import (
-    KnownTask,
-    TaskFactory,
-    TaskOptions,
-    TestCondition,
-)
-from contactgraph.data import InvalidInputError
+from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph.envs.experts import ExplorationPolicy
 from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import MAX_FORCE, Grasp
 
-
-def _factory(options: TaskOptions) -> TaskFactory:
-    # This import raises `InvalidInputError` if MuJoCo is missing.
+if TYPE_CHECKING:
     from contactgraph_franka.envs.franka_task import FrankaTask
 
-    if options.objects not in (None, 1):
-        raise InvalidInputError(f"--objects: franka has 1 object, found {options.objects}")
-    task = partial(FrankaTask, options.distractors, fixed_seed=options.fixed_seed)
-    if options.grasp is None:
-        return task
-    grasp = choice("--grasp", options.grasp, {each.value: each for each in Grasp})
-    return partial(task, grasp=grasp)
+
+def franka_task(
+    distractors: int = 0, grasp: str | None = None, fixed_seed: int | None = None
+) -> "FrankaTask":
+    """The arm's task; ``grasp`` is friction (default) or weld.
+
+    Raises `InvalidInputError` if MuJoCo is missing, and for another grasp.
+    """
+    from contactgraph_franka.envs.franka_task import FrankaTask
+
+    grasps = {each.value: each for each in Grasp}
+    chosen = Grasp.FRICTION if grasp is None else choice("--grasp", grasp, grasps)
+    return FrankaTask(distractors, chosen, fixed_seed=fixed_seed)
 
 
 def _explorer() -> ExplorationPolicy:
@@ -34,7 +33,7 @@ def _explorer() -> ExplorationPolicy:
 
 
 FRANKA = KnownTask(
-    factory=_factory,
+    make=franka_task,
     expert=FrankaExpert,
     demonstrator=partial(FrankaExpert, noise=0.0),
     explorer=_explorer,

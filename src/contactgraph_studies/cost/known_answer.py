@@ -9,7 +9,6 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.cli.task_types import TaskOptions
 from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
@@ -35,7 +34,7 @@ class KnownAnswer(NamedTuple):
 
 def own_cost(task: StudyTask) -> LearnedCost:
     """The task's own cost in the form of a learned one."""
-    made = task.known.factory(TaskOptions())()
+    made = task.known.make()
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
     control_size = cast(gymnasium.spaces.Box, made.action_space).shape[0]
