@@ -27,7 +27,7 @@ MAY_IMPORT = {
 
 LIBRARY_TOP = [
     *("contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot", "contactgraph.play"),
-    *("contactgraph.cli", "contactgraph"),
+    *("contactgraph.cli", "contactgraph.gym", "contactgraph"),
 ]
 """These may import each other only in this order, and everything that stands below."""
 

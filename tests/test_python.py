@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import contactgraph
+import contactgraph.gym
 from contactgraph.cli.tasks import task_names
 from contactgraph.data import InvalidInputError
 
@@ -73,16 +73,9 @@ def test_a_task_takes_the_options_of_the_command() -> None:
         contactgraph.make("pick")
 
 
-@pytest.mark.parametrize("order", ["contactgraph, gymnasium", "gymnasium, contactgraph"])
-def test_gymnasium_knows_the_tasks_after_both_imports(order: str) -> None:
-    code = f"import {order}; print(gymnasium.spec('contactgraph/PushtPose-v0').kwargs)"
-    assert printed(code) == ["{'task': 'pusht-pose'}"]
-
-
-def test_gymnasium_imports_the_package_by_its_name() -> None:
-    code = (
-        "import gymnasium; print(gymnasium.make('contactgraph:contactgraph/Door-v0').spec.kwargs)"
-    )
+def test_gymnasium_imports_the_tasks_by_the_module_s_name() -> None:
+    name = "contactgraph.gym:contactgraph/Door-v0"
+    code = f"import gymnasium; print(gymnasium.make({name!r}).spec.kwargs)"
     assert printed(code) == ["{'task': 'door'}"]
 
 
@@ -146,7 +139,7 @@ def test_wrong_options_and_missing_packages_are_one_line(monkeypatch: pytest.Mon
     with pytest.raises(InvalidInputError, match="distractors must be 0 to 20, found 99"):
         gymnasium.make("contactgraph/Pickup-v0", distractors=99)
     with pytest.raises(InvalidInputError, match="render_mode must be rgb_array or None"):
-        contactgraph.cli.gymnasium_task.GymnasiumTask("pickup", "ansi")
+        contactgraph.gym.GymnasiumTask("pickup", "ansi")
     monkeypatch.setitem(sys.modules, "gym_pusht", None)
     with pytest.raises(InvalidInputError, match=r"^[^\n]*contactgraph\[pusht\][^\n]*$"):
         gymnasium.make("contactgraph/Pusht-v0")

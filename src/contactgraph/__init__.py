@@ -1,14 +1,10 @@
 """contactgraph: learn which objects touch when, and control through contact.
 
-The names below are imported on first use, so that ``import contactgraph`` takes no time. Gymnasium
-knows the tasks as soon as it and this package are imported, in either order.
+The names below are imported on first use, so that ``import contactgraph`` takes no time.
+``import contactgraph.gym`` registers the tasks with Gymnasium.
 """
 
-import sys
 from importlib import import_module
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -36,12 +32,6 @@ _NAMES = {
     "read": ("contactgraph.data", "read_trajectories"),
     "write": ("contactgraph.data", "write_trajectories"),
 }
-_TASKS = (
-    *("pickup", "multi-pickup", "door", "billiards", "toss", "dominoes", "stack", "chain"),
-    *("unknown-mass", "springs", "suction", "release", "delay", "sticky", "pusht", "pusht-pose"),
-    *("fetch-push", "fetch-slide", "fetch-pick-and-place", "franka"),
-)
-"""Names of tasks, known without importing them."""
 
 
 def __getattr__(name: str) -> object:
@@ -57,41 +47,3 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
-
-
-def _register() -> None:
-    """Give Gymnasium the names of the tasks: ``pusht-pose`` is ``contactgraph/PushtPose-v0``."""
-    from gymnasium.envs.registration import register
-
-    for task in _TASKS:
-        name = "".join(part.capitalize() for part in task.split("-"))
-        register(
-            id=f"contactgraph/{name}-v0",
-            entry_point="contactgraph.cli.gymnasium_task:GymnasiumTask",
-            kwargs={"task": task},
-        )
-
-
-class _RegisterOnImport:
-    """Calls `_register` once Gymnasium is imported, which takes longer than this package may."""
-
-    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
-        if name != "gymnasium.envs":
-            return None
-        sys.meta_path.remove(self)
-        spec = find_spec(name)
-        if spec is not None and spec.loader is not None:
-            run = spec.loader.exec_module
-
-            def run_and_register(module: ModuleType) -> None:
-                run(module)
-                _register()
-
-            spec.loader.exec_module = run_and_register  # type: ignore[method-assign]
-        return spec
-
-
-if "gymnasium.envs" in sys.modules:
-    _register()
-else:
-    sys.meta_path.insert(0, _RegisterOnImport())

@@ -1,11 +1,14 @@
-"""Tasks as Gymnasium makes them: ``gymnasium.make("contactgraph/Pickup-v0")``."""
+"""Tasks as Gymnasium makes them: ``gymnasium.make("contactgraph/Pickup-v0")``.
+
+The import of this module registers them; ``pusht-pose`` is ``contactgraph/PushtPose-v0``.
+"""
 
 from typing import Any, cast
 
 import gymnasium
 import numpy as np
 
-from contactgraph.cli.tasks import make
+from contactgraph.cli.tasks import make, task_names
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.envs.episodes import EpisodeStates
@@ -84,3 +87,11 @@ class GymnasiumTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     def close(self) -> None:
         """Closes the task."""
         cast(gymnasium.Env[Any, Any], self.task).close()
+
+
+for _task in task_names():
+    gymnasium.register(
+        id=f"contactgraph/{''.join(map(str.capitalize, _task.split('-')))}-v0",
+        entry_point="contactgraph.gym:GymnasiumTask",
+        kwargs={"task": _task},
+    )
