@@ -92,7 +92,11 @@ def made(name: str) -> gymnasium.Env:
         raise
 
 
-@pytest.mark.filterwarnings("ignore:.*For Box action spaces")
+@pytest.mark.filterwarnings(
+    "error",
+    # A control in newtons or metres is not scaled to [-1, 1].
+    "ignore:.*recommend using a symmetric and normalized",
+)
 @pytest.mark.parametrize("name", TASKS)
 def test_gymnasium_accepts_and_draws(name: str) -> None:
     env = made(name)

@@ -1,13 +1,11 @@
 """A Gymnasium environment becomes a task by its map."""
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy.spatial.transform import Rotation
 
 from contactgraph.cli import main as cli
@@ -109,14 +107,6 @@ class Steady:
 
 def test_the_contract_is_kept() -> None:
     check_task(task)
-
-
-def test_gymnasium_finds_nothing_to_warn_of() -> None:
-    with warnings.catch_warnings():
-        # The control is in metres: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        warnings.filterwarnings("ignore", message=".*not different from the unwrapped version")
-        check_env(task(), skip_render_check=True)
 
 
 def test_positions_controls_and_goal_are_in_metres() -> None:

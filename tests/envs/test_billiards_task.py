@@ -1,11 +1,7 @@
-import warnings
 from functools import partial
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
@@ -14,7 +10,6 @@ from contactgraph.envs import (
     DoorTask,
     RestPolicy,
     StrikingPolicy,
-    check_task,
 )
 from contactgraph.envs.billiards import CORRIDOR, GAP, SHOT, TABLE
 from contactgraph.evaluate import collect
@@ -30,25 +25,6 @@ PASSIVE = partial(BilliardsTask, 6, passive=True)
 @pytest.fixture(scope="module")
 def passive_runs(engine):
     return collect([PASSIVE], [RestPolicy()], 30, 0)
-
-
-@pytest.mark.parametrize("passive", [False, True])
-def test_gymnasium_finds_nothing_to_warn_of(passive):
-    spec = EnvSpec(
-        "Billiards-v0",
-        entry_point="contactgraph.envs:BilliardsTask",
-        kwargs={"passive": passive},
-        disable_env_checker=True,
-    )
-    with warnings.catch_warnings():
-        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        check_env(gymnasium.make(spec).unwrapped)
-
-
-@pytest.mark.parametrize(("objects", "passive"), [(1, False), (8, False), (1, True), (4, True)])
-def test_the_contract_is_kept(objects, passive):
-    check_task(lambda: BilliardsTask(objects, passive))
 
 
 def test_the_scene_describes_its_nodes():

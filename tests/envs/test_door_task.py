@@ -1,10 +1,5 @@
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError, pair_indices
 from contactgraph.envs import (
@@ -13,7 +8,6 @@ from contactgraph.envs import (
     ExplorationPolicy,
     PickupTask,
     RestPolicy,
-    check_task,
 )
 from contactgraph.envs.door import CORRIDOR, DISTRACTOR_HALF_WIDTH, sample_layout
 from contactgraph.envs.gripper_task import fixed_layout
@@ -37,25 +31,6 @@ def bar(hinge, angle, points=60):
 
 def nearest(one, other):
     return np.linalg.norm(one[:, None] - other, axis=-1).min()
-
-
-@pytest.mark.parametrize("distractors", [0, 10])
-def test_gymnasium_finds_nothing_to_warn_of(distractors):
-    spec = EnvSpec(
-        "Door-v0",
-        entry_point="contactgraph.envs:DoorTask",
-        kwargs={"distractors": distractors},
-        disable_env_checker=True,
-    )
-    with warnings.catch_warnings():
-        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        check_env(gymnasium.make(spec).unwrapped)
-
-
-@pytest.mark.parametrize("distractors", [0, 10])
-def test_the_contract_is_kept(distractors):
-    check_task(lambda: DoorTask(distractors))
 
 
 @pytest.mark.parametrize("fixed_seed", [None, 3])

@@ -1,16 +1,14 @@
 """The Fetch environments as tasks: poses, contacts, the table's edge, and the scripted policies."""
 
 import sys
-import warnings
 from functools import partial
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import AdaptedTask, RestPolicy, check_task, fetch
+from contactgraph.envs import AdaptedTask, RestPolicy, fetch
 from contactgraph.envs.episodes import episode_seeds, run_episode
 
 pytest.importorskip(
@@ -44,24 +42,6 @@ def episodes(tasks: dict[str, AdaptedTask]) -> dict[str, list[list]]:
 @pytest.fixture(params=list(ALL))
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
-
-
-def test_the_contract_is_kept(name: str, tasks: dict[str, AdaptedTask]) -> None:
-    pair = [tasks[name], fetch.fetch_task(ALL[name])]
-
-    def alternating() -> AdaptedTask:
-        pair.reverse()
-        return pair[0]
-
-    check_task(alternating)
-
-
-def test_gymnasium_finds_nothing_to_warn_of(name: str, tasks: dict[str, AdaptedTask]) -> None:
-    with warnings.catch_warnings():
-        # The control is a displacement in metres: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        warnings.filterwarnings("ignore", message=".*not different from the unwrapped version")
-        check_env(tasks[name], skip_render_check=True)
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,9 @@
 """The tasks in which geometry does not tell holding: contract, labels, success, experts."""
 
-import warnings
 from functools import partial
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
@@ -18,7 +16,6 @@ from contactgraph.envs import (
     StickyTask,
     SuctionExpert,
     SuctionTask,
-    check_task,
 )
 from contactgraph.envs.episodes import collect, run_episode
 from contactgraph.envs.gripper_task import GRIPPER
@@ -49,21 +46,6 @@ def recorded(engine):
 def pairs_of(runs, label):
     """[all states and bodies] of the gripper's pairs."""
     return np.concatenate([getattr(run, label)[:, GRIPPER, 1:].ravel() for run in runs])
-
-
-@EVERY
-def test_the_contract_is_kept(name):
-    check_task(partial(TASKS[name][0], distractors=3))
-
-
-@EVERY
-def test_gymnasium_finds_nothing_to_warn_of(name):
-    with warnings.catch_warnings():
-        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        # Built here, not by an id of Gymnasium's registry.
-        warnings.filterwarnings("ignore", message=".*not able to test alternative render modes")
-        check_env(TASKS[name][0]())
 
 
 @EVERY

@@ -1,13 +1,8 @@
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import MultiPickupTask, PickupExpert, PickupTask, check_task
+from contactgraph.envs import MultiPickupTask, PickupExpert, PickupTask
 from contactgraph.envs.gripper_task import fixed_layout
 from contactgraph.envs.pickup import held
 from contactgraph.envs.pickup_layout import (
@@ -26,25 +21,6 @@ from contactgraph.evaluate import collect
 pytestmark = pytest.mark.usefixtures("engine")
 
 SEEDS = range(30)
-
-
-@pytest.mark.parametrize(("objects", "distractors"), [(2, 0), (5, 20)])
-def test_gymnasium_finds_nothing_to_warn_of(objects, distractors):
-    spec = EnvSpec(
-        "MultiPickup-v0",
-        entry_point="contactgraph.envs:MultiPickupTask",
-        kwargs={"objects": objects, "distractors": distractors},
-        disable_env_checker=True,
-    )
-    with warnings.catch_warnings():
-        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        check_env(gymnasium.make(spec).unwrapped)
-
-
-@pytest.mark.parametrize(("objects", "distractors"), [(1, 1), (2, 0), (5, 3)])
-def test_the_contract_is_kept(objects, distractors):
-    check_task(lambda: MultiPickupTask(objects, distractors))
 
 
 def test_one_object_is_laid_out_as_a_pickup():

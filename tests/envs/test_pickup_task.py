@@ -1,13 +1,9 @@
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import PickupTask, RestPolicy, check_task
+from contactgraph.envs import PickupTask, RestPolicy
 from contactgraph.envs.pickup_layout import (
     CORRIDOR,
     OVERSHOOT,
@@ -28,25 +24,6 @@ def run(seed, distractors=3, steps=200):
     for _ in range(steps):
         observations.append(task.step(rng.uniform(-10.0, 10.0, 2))[0])
     return observations
-
-
-@pytest.mark.parametrize("distractors", [0, 20])
-def test_gymnasium_finds_nothing_to_warn_of(distractors):
-    spec = EnvSpec(
-        "Pickup-v0",
-        entry_point="contactgraph.envs:PickupTask",
-        kwargs={"distractors": distractors},
-        disable_env_checker=True,
-    )
-    with warnings.catch_warnings():
-        # The control is a force in newtons: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        check_env(gymnasium.make(spec).unwrapped)
-
-
-@pytest.mark.parametrize("distractors", [0, 1, 20])
-def test_the_contract_is_kept(distractors):
-    check_task(lambda: PickupTask(distractors))
 
 
 def test_a_seed_gives_the_same_episode_to_the_last_bit():

@@ -1,13 +1,10 @@
 """PushT as a task: its poses, contacts, walls, and the scripted pushes."""
 
-import warnings
-
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import RestPolicy, check_task, pusht
+from contactgraph.envs import RestPolicy, pusht
 from contactgraph.envs.episodes import episode_seeds, run_episode
 
 pytest.importorskip("gym_pusht", reason="gym-pusht is missing", exc_type=ImportError)
@@ -19,18 +16,6 @@ def pushes() -> list:
     task = pusht.pusht_task()
     made = (pusht.pusht_fixed_start, pusht.pusht_expert, pusht.pusht_explorer)
     return [[run_episode(task, make(), seed) for seed in episode_seeds(4, 0)] for make in made]
-
-
-def test_the_contract_is_kept() -> None:
-    check_task(pusht.pusht_task)
-
-
-def test_gymnasium_finds_nothing_to_warn_of() -> None:
-    with warnings.catch_warnings():
-        # The control is a position in metres: that it is not scaled to [-1, 1] is meant.
-        warnings.filterwarnings("ignore", message=".*recommend using a symmetric and normalized")
-        warnings.filterwarnings("ignore", message=".*not different from the unwrapped version")
-        check_env(pusht.pusht_task(), skip_render_check=True)
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,7 +124,6 @@ def test_gentle_and_rough_pushes_differ_in_speed(pushes: list) -> None:
 
 
 def test_the_pose_task_succeeds_where_the_t_covers_its_outline_at_the_goal() -> None:
-    check_task(pusht.pusht_pose_task)
     task = pusht.pusht_pose_task()
     run = run_episode(task, RestPolicy(), 3)
     assert run.steps == task.max_steps == 300 and not task.success()

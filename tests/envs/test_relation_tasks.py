@@ -1,18 +1,10 @@
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import RestPolicy, SpringsTask, check_task
+from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import run_episode
 from contactgraph.envs.relation_tasks import SPRING_STIFFNESS, SpringWorld
-
-
-def test_the_task_keeps_the_contract():
-    check_task(SpringsTask)
-    spec = EnvSpec("Springs-v0", entry_point=SpringsTask, disable_env_checker=True)
-    check_env(spec.make().unwrapped, skip_render_check=True)
 
 
 def test_springs_keep_momentum_and_energy_and_their_graph():

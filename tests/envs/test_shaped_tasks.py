@@ -13,7 +13,6 @@ from contactgraph.envs import (
     RestPolicy,
     StackTask,
     TossTask,
-    check_task,
     fallen,
 )
 from contactgraph.envs.episodes import run_episode
@@ -65,16 +64,6 @@ def gap(one, other):
         away = (second @ normal.T - np.sum(first * normal, axis=-1)).min(axis=0)
         best = max(best, away.max())
     return best
-
-
-@pytest.mark.parametrize("task", [TossTask, StackTask, ChainTask])
-def test_the_contract_is_kept(task):
-    check_task(task)
-
-
-@pytest.mark.slow
-def test_the_contract_is_kept_by_dominoes():
-    check_task(DominoesTask)
 
 
 @pytest.mark.parametrize(("task", "kind", "count"), [(TossTask, "box", 1), (StackTask, "box", 3)])
