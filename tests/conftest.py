@@ -46,8 +46,10 @@ if "XLA_FLAGS" not in os.environ:
 
 import jax  # noqa: E402  after the variables that it reads
 
-from contactgraph_studies.execution import release_programs  # noqa: E402
+from contactgraph_studies.execution import release_programs, resident_bytes  # noqa: E402
 
+MUCH_MEMORY = 1.5e9
+"""Of a worker, bytes, above which it forgets compiled programs within a file, too."""
 SHORT = (
     *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
     *("--window-length", "3", "--rollout-from", "0.6"),
@@ -66,7 +68,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
     # Compiled programs take most of a worker's memory: files share few of them, and those are read
     # from the folder again.
-    if nextitem is None or nextitem.path != item.path:
+    if nextitem is None or nextitem.path != item.path or resident_bytes() > MUCH_MEMORY:
         release_programs()
 
 

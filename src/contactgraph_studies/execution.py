@@ -160,7 +160,7 @@ def _run_logged(run: Callable[[list[str]], int], arguments: list[str], log: Path
         traceback.print_exc()  # the worker goes on with the next job
         return 1
     finally:
-        if _takes_much_memory():
+        if resident_bytes() > _MUCH_MEMORY:
             release_programs()  # each data set has others
         sys.stdout.flush()
         sys.stderr.flush()
@@ -177,8 +177,9 @@ def release_programs() -> None:
         trim(0)
 
 
-def _takes_much_memory() -> bool:
+def resident_bytes() -> int:
+    """Memory of this process; 0 where the system does not tell."""
     statistics = Path("/proc/self/statm")  # of Linux
     if not statistics.exists():
-        return False
-    return int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _MUCH_MEMORY
+        return 0
+    return int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
