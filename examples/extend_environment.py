@@ -5,6 +5,7 @@ or, in this folder: contactgraph collect extend_environment:TableTask --out tabl
 """
 
 from functools import partial
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -36,27 +37,7 @@ class Table(gymnasium.Env):
         return np.concatenate([self._paddle, self._puck, self._goal]).astype(np.float32)
 
 
-TABLE_TOP = np.array([[-0.5, -0.5], [0.5, 0.5]])  # m; an episode ends where the puck leaves it
-MAP = envs.EnvironmentMap(
-    name="table",
-    dt=0.05,  # s
-    bodies=(
-        envs.MappedBody(
-            "paddle", "paddle", position=envs.Entries(0, 2), actuated=True, radius=0.02
-        ),
-        envs.MappedBody(
-            "puck", "object", position=envs.Entries(2, 4), radius=0.03, bounds=TABLE_TOP
-        ),
-    ),
-    control=envs.MappedControl(
-        ("displacement", "displacement"), ("paddle", "paddle"), entries=(0, 1), scale=(0.02, 0.02)
-    ),
-    goal=envs.Entries(4, 6),
-    cost=envs.ChainCost((0, 1), np.array([3, 3, 0.2, 0.2]), np.array([50, 50, 1, 1]), 0.01),
-    max_steps=200,
-    tolerance=0.02,  # m
-    scale=0.01,  # m per centimetre
-)
+MAP = Path(__file__).with_suffix(".toml")
 
 
 class TableTask(envs.AdaptedTask):
@@ -65,7 +46,14 @@ class TableTask(envs.AdaptedTask):
     expert = partial(envs.PushPolicy, style, noise=0.003, variety=0.5)
 
     def __init__(self):
-        super().__init__(Table, MAP)
+        super().__init__(
+            Table,
+            MAP,
+            name="table",
+            cost=envs.ChainCost((0, 1), np.array([3, 3, 0.2, 0.2]), np.array([50, 50, 1, 1]), 0.01),
+            max_steps=200,
+            tolerance=0.02,  # m
+        )
 
 
 if __name__ == "__main__":

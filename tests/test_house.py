@@ -20,7 +20,11 @@ MAY_IMPORT = {
     "contactgraph.model": {"contactgraph.data"},
     "contactgraph.train": {"contactgraph.data", "contactgraph.model"},
     "contactgraph.control": {"contactgraph.data", "contactgraph.feedback", "contactgraph.model"},
-    "contactgraph.envs": {"contactgraph.data", "contactgraph.parallel"},
+    "contactgraph.envs": {
+        "contactgraph.data",
+        "contactgraph.interchange",
+        "contactgraph.parallel",
+    },
     "contactgraph.interchange": {"contactgraph.data"},
 }
 """Packages that stand below others, and the packages that each of them may import."""
@@ -50,9 +54,9 @@ HEAVY = {
 }
 """Libraries that are slow to import or optional: one module knows each of them."""
 
-FILES = {"contactgraph": 221, "contactgraph_franka": 60, "contactgraph_studies": 28}
-LINES = {"contactgraph": 39_975, "contactgraph_franka": 8_960, "contactgraph_studies": 4_616}
-ROOMS = {"contactgraph/envs": 6_042}
+FILES = {"contactgraph": 219, "contactgraph_franka": 60, "contactgraph_studies": 28}
+LINES = {"contactgraph": 39_604, "contactgraph_franka": 8_960, "contactgraph_studies": 4_616}
+ROOMS = {"contactgraph/envs": 5_630}
 """Lines of folders. All budgets only fall: who needs lines takes them from the same room."""
 LONGEST_FILE = 400
 """100 to 250 lines are usual."""

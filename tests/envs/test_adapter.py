@@ -1,6 +1,5 @@
 """A Gymnasium environment becomes a task by its map."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -13,14 +12,11 @@ from contactgraph.data import InvalidInputError, read_trajectories
 from contactgraph.envs import (
     AdaptedTask,
     ChainCost,
-    Entries,
-    EnvironmentMap,
-    MappedBody,
-    MappedControl,
     RestPolicy,
     check_task,
 )
 from contactgraph.envs.episodes import run_episode
+from contactgraph.interchange import parse_map
 
 ORDER = "XYZ"
 
@@ -56,40 +52,52 @@ class Carousel(gymnasium.Env):
         return {"state": state, "target": np.array([30.0, 0.0, 0.0])}
 
 
-def state(start: int, stop: int) -> Entries:
-    return Entries(start, stop, "state")
+MAP = f"""
+dimension = 3
+goal = {{ columns = "observations/target", scale = 0.01 }}
+
+[time]
+dt = 0.1
+
+[[body]]
+name = "hand"
+type = "hand"
+actuated = true
+position = {{ columns = "observations/state[0:3]", scale = 0.01 }}
+orientation = [1.0, 0.0, 0.0, 0.0]
+radius = 0.03
+mass = 1.0
+
+[[body]]
+name = "box"
+position = {{ columns = "observations/state[3:6]", scale = 0.01 }}
+orientation = {{ columns = "observations/state[6:9]", euler = "{ORDER}" }}
+relative_to = "hand"
+radius = 0.02
+mass = 2.0
+
+[[control]]
+columns = "actions[0:3]"
+kind = "displacement"
+body = "hand"
+scale = 0.02
+"""
+VELOCITY = 'velocity = { columns = "observations/state[9:12]", scale = 0.01 }'
+COST = ChainCost((0, 1), np.ones(6), np.ones(6), 0.1)
 
 
-HAND = MappedBody("hand", "hand", state(0, 3), orientation=(1.0, 0.0, 0.0, 0.0), actuated=True)
-BOX = MappedBody(
-    "box", "object", state(3, 6), orientation=state(6, 9), euler=ORDER, relative_to="hand"
-)
-MAP = EnvironmentMap(
-    name="carousel",
-    dt=0.1,
-    bodies=(replace(HAND, radius=0.03), replace(BOX, radius=0.02, mass=2.0)),
-    control=MappedControl(
-        kind=("displacement",) * 3,
-        body=("hand",) * 3,
-        entries=(0, 1, 2),
-        scale=(0.02, 0.02, 0.02),
-        rest=0.25,
-    ),
-    goal=Entries(0, 3, "target"),
-    cost=ChainCost((0, 1), np.ones(6), np.ones(6), 0.1),
-    max_steps=20,
-    tolerance=0.5,
-    dimension=3,
-    scale=0.01,
-)
+def task(*changes: tuple[str, str], **arguments) -> AdaptedTask:
+    """The carousel, with texts of the map replaced by others and other arguments."""
+    text = MAP
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    given = {"name": "carousel", "cost": COST, "max_steps": 20, "tolerance": 0.5, "rest": 0.25}
+    return AdaptedTask(Carousel, parse_map("a map", text), **{**given, **arguments})
 
 
-def task(**changes) -> AdaptedTask:
-    return AdaptedTask(Carousel, replace(MAP, **changes))
-
-
-def with_box(**changes) -> dict:
-    return {"bodies": (MAP.bodies[0], replace(MAP.bodies[1], **changes))}
+BOX_BOUNDS = ("mass = 2.0", "mass = 2.0\nbounds = [[-9, -9, -9], [0.18, 9, 9]]")
+HAND_BOUNDS = ("radius = 0.03", "radius = 0.03\nbounds = [[-9, -9, -9], [0.18, 9, 9]]")
 
 
 class Steady:
@@ -131,9 +139,8 @@ def test_velocities_are_backward_differences_of_what_was_recorded() -> None:
 
 
 def test_given_velocities_are_read_and_those_of_a_relative_body_added() -> None:
-    hand = replace(MAP.bodies[0], velocity=state(9, 12))
-    box = replace(MAP.bodies[1], velocity=state(9, 12))
-    trajectory = run_episode(task(bodies=(hand, box)), Steady([0.0] * 3), 0)
+    with_velocity = [(f"radius = 0.0{n}", f"radius = 0.0{n}\n{VELOCITY}") for n in (3, 2)]
+    trajectory = run_episode(task(*with_velocity), Steady([0.0] * 3), 0)
     np.testing.assert_allclose(trajectory.velocity[:, 0], 0.07)
     np.testing.assert_allclose(trajectory.velocity[:, 1], 0.14)
 
@@ -156,15 +163,16 @@ def test_orientations_are_the_environments_and_turn_at_their_rate() -> None:
 
 def test_the_sign_of_a_quaternion_does_not_jump() -> None:
     euler = run_episode(task(), Steady([0.0] * 3), 0).orientation
-    jumping = with_box(orientation=state(12, 16), euler=None)
-    orientation = run_episode(task(**jumping), Steady([0.0] * 3), 0).orientation
+    quaternion = '"observations/state[12:16]"'
+    jumping = f'{{ columns = "observations/state[6:9]", euler = "{ORDER}" }}', quaternion
+    orientation = run_episode(task(jumping), Steady([0.0] * 3), 0).orientation
     assert orientation is not None and euler is not None
     assert np.sum(orientation[1:, 1] * orientation[:-1, 1], axis=1).min() > 0.9
     np.testing.assert_allclose(np.abs(orientation), np.abs(euler), atol=1e-12)
 
 
 def test_a_reference_is_a_point_of_the_turned_body() -> None:
-    carousel = task(**with_box(reference=(0.0, 0.1, 0.0)))
+    carousel = task(("mass = 2.0", "mass = 2.0\nreference = [0.0, 0.1, 0.0]"))
     observation, _ = carousel.reset(seed=0)
     inner = carousel.environment
     away = Rotation.from_euler(ORDER, inner.angles).apply([0.0, 0.1, 0.0])
@@ -172,7 +180,7 @@ def test_a_reference_is_a_point_of_the_turned_body() -> None:
 
 
 def test_bodies_touch_where_their_radii_reach() -> None:
-    carousel = task(bodies=(replace(HAND, radius=0.03), replace(BOX, radius=0.02)))
+    carousel = task()
     carousel.reset(seed=0)
     for expected in (0, 0, 1):  # the box stays 8 cm ahead of the start
         observation, *_ = carousel.step(np.array([0.012, 0.0, 0.0]))
@@ -193,18 +201,14 @@ def test_the_scene_says_what_the_control_does() -> None:
     scene = carousel.scene
     assert scene.control_kind == ("displacement",) * 3
     assert scene.control_of is not None and scene.control_of.tolist() == [[True] * 3, [False] * 3]
-    assert scene.mass is None and scene.radius is not None  # one mass is not known
+    np.testing.assert_array_equal(scene.mass, [1.0, 2.0])
     assert scene.metadata == {"task": "carousel", "seed": 5}
 
 
 def test_an_episode_ends_where_a_body_leaves_its_bounds_and_is_no_success() -> None:
-    fence = np.array([[-9.0, -9.0, -9.0], [0.18, 9.0, 9.0]])
-    trajectory = run_episode(task(**with_box(bounds=fence)), Steady([0.0] * 3), 1)
+    trajectory = run_episode(task(BOX_BOUNDS), Steady([0.0] * 3), 1)
     assert trajectory.steps == 20  # the box rests
-    bounded = replace(MAP.bodies[0], bounds=fence)
-    far = run_episode(
-        task(bodies=(bounded, MAP.bodies[1]), tolerance=9.0), Steady([0.02, 0.0, 0.0]), 1
-    )
+    far = run_episode(task(HAND_BOUNDS, tolerance=9.0), Steady([0.02, 0.0, 0.0]), 1)
     assert far.steps < 20 and far.position[-1, 0, 0] > 0.18 >= far.position[-2, 0, 0]
     assert far.scene.metadata["success"] is False
     assert run_episode(task(tolerance=9.0), RestPolicy(), 1).scene.metadata["success"] is True
@@ -219,39 +223,42 @@ def test_success_may_be_the_environments_own_word() -> None:
         run_episode(task(tolerance=None, success_key="won"), RestPolicy(), 1)
 
 
+EULER = f', euler = "{ORDER}"'
+
+
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("change", "arguments", "message"),
     [
-        (with_box(position=state(3, 5)), "box.position must have 3 entries, found 2"),
-        (with_box(position=state(14, 17)), "box.position: entries 14 to 16 must lie in 0 to 15"),
+        (("state[3:6]", "state[3:5]"), {}, r"body\[1\]: position must have 3 numbers, found 2"),
+        (("state[3:6]", "state[14:17]"), {}, r"must lie in observations/state\[0:16\]"),
+        (("state[3:6]", "pose"), {}, "no column 'observations/pose[^']*'; there are .*/state"),
+        ((EULER, ""), {}, r"body\[1\]: orientation must have 4 numbers, found 3"),
+        (("orientation = [1.0, 0.0, 0.0, 0.0]", ""), {}, "hand: orientation must be known, as "),
+        (('relative_to = "hand"', 'relative_to = "palm"'), {}, "must name a body .*found 'palm'"),
+        (("mass = 2.0", ""), {}, "box: mass must be given, as another body's is"),
+        (("radius = 0.02", ""), {}, "box needs a radius, or the task a contact function"),
         (
-            with_box(position=Entries(0, 3, "pose")),
-            "box.position: key must be one of state, target; found 'pose'",
+            ("mass = 2.0", "mass = 2.0\nbounds = [[0, 0], [1, 1]]"),
+            {},
+            r"bounds must have shape \(2, 3\)",
         ),
-        (with_box(position=Entries(0, 3)), "key must be one of state, target; found None"),
-        (with_box(euler=None), "box.orientation must have 4 entries, found 3"),
-        (with_box(orientation=None), "box.orientation must be known, as another body's is"),
-        (with_box(relative_to="palm"), "box.relative_to must be one of hand, box; found 'palm'"),
-        (with_box(radius=None), "box needs a radius, or the map a contact function"),
-        (with_box(bounds=np.zeros((3, 2))), r"box.bounds must have shape \(2, 3\)"),
-        ({"goal": (1.0, 2.0)}, r"goal must have 3 numbers, found \(1.0, 2.0\)"),
-        ({"tolerance": None}, "success needs a tolerance or a success_key"),
-        ({"cost": ChainCost((0, 2), [1] * 6, [1] * 6, 1)}, "cost.chain must name bodies 0 to 1"),
-        (
-            {"control": replace(MAP.control, entries=(0, 1, 4))},
-            r"control.entries must lie in 0 to 3, found \(0, 1, 4\)",
-        ),
-        ({"control": replace(MAP.control, scale=(1.0, 1.0))}, "must have 3 values each"),
-        (
-            {"control": replace(MAP.control, body=("hand", "hand", "fist"))},
-            "control.body must be one of hand, box; found 'fist'",
-        ),
+        (('{ columns = "observations/target", scale = 0.01 }', "[1, 2]"), {}, "goal must have 3 n"),
+        (("dt = 0.1", ""), {}, r"the map must have \[time\] dt and a goal"),
+        ((), {"tolerance": None}, "success needs a tolerance or a success_key"),
+        ((), {"cost": ChainCost((0, 2), [1] * 6, [1] * 6, 1)}, "cost.chain must name bodies 0 to"),
+        (("actions[0:3]", "actions[2:5]"), {}, r"'actions\[2:5\]' must lie in actions\[0:4\]"),
+        (("scale = 0.02\n", "scale = [1, 1]\n"), {}, "scale must be 1 or 3 numbers, found 2"),
+        (("scale = 0.02\n", "scale = 0\n"), {}, "the scale of a control must not be 0"),
+        (('body = "hand"', 'body = "fist"'), {}, "must name a body with actuated .*found 'fist'"),
     ],
 )
-def test_a_map_that_does_not_fit_is_refused_in_one_line(changes: dict, message: str) -> None:
+def test_a_map_that_does_not_fit_is_refused_in_one_line(
+    change: tuple, arguments: dict, message: str
+) -> None:
     with pytest.raises(InvalidInputError, match=message) as caught:
-        task(**changes)
-    assert "\n" not in str(caught.value) and "carousel" in str(caught.value)
+        task(*([change] if change else []), **arguments)
+    assert "\n" not in str(caught.value)
+    assert "carousel" in str(caught.value) or "a map" in str(caught.value)
 
 
 class Fragile(AdaptedTask):
@@ -260,7 +267,8 @@ class Fragile(AdaptedTask):
     expert = RestPolicy
 
     def __init__(self) -> None:
-        super().__init__(Breaking, MAP)
+        given = {"name": "carousel", "cost": COST, "max_steps": 20, "tolerance": 0.5}
+        super().__init__(Breaking, parse_map("a map", MAP), rest=0.25, **given)
 
 
 class Breaking(Carousel):

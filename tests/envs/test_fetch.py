@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import AdaptedTask, RestPolicy, fetch
 from contactgraph.envs.episodes import episode_seeds, run_episode
+from contactgraph.interchange import read_map
 
 pytest.importorskip(
     "gymnasium_robotics", reason="gymnasium-robotics is missing", exc_type=ImportError
 )
 
 GRIPPER, OBJECT = 0, 1
-ALL = {"push": fetch.PUSH, "slide": fetch.SLIDE, "pick": fetch.PICK_AND_PLACE}
+ALL = {"push": "fetch-push", "slide": "fetch-slide", "pick": "fetch-pick-and-place"}
 SCRIPTED = {
     "push": (fetch.push_fixed_start, fetch.push_expert, fetch.push_explorer),
     "slide": (fetch.slide_fixed_start, fetch.slide_expert, fetch.slide_explorer),
@@ -47,7 +48,7 @@ def name(request: pytest.FixtureRequest) -> str:
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
     with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[fetch\]'$"):
-        fetch.fetch_task(fetch.PUSH)
+        fetch.fetch_task("fetch-push")
 
 
 @pytest.mark.parametrize("found", ["3.7.0", "4.0.0"])
@@ -56,7 +57,7 @@ def test_a_mujoco_with_other_physics_is_refused(
 ) -> None:
     monkeypatch.setattr(fetch, "version", lambda name: found)
     with pytest.raises(InvalidInputError, match=f"needs a MuJoCo below 3.7, found {found}"):
-        fetch.fetch_task(fetch.PUSH)
+        fetch.fetch_task("fetch-push")
 
 
 @pytest.mark.parametrize("name", ["push", "pick"])
@@ -130,7 +131,7 @@ def test_the_hand_keeps_its_orientation(tasks: dict[str, AdaptedTask]) -> None:
 
 
 def test_a_trajectory_ends_where_the_block_leaves_the_table(tasks: dict[str, AdaptedTask]) -> None:
-    task, edge = tasks["push"], fetch.PUSH.table[1, 0]
+    task, edge = tasks["push"], read_map("fetch-push").bodies[1].bounds[1, 0]
 
     class Away:
         """Pushes the block over the far edge."""
@@ -167,7 +168,7 @@ def test_the_fingers_close_on_the_block_and_lift_it(episodes: dict[str, list[lis
 
 
 def test_a_slide_lets_go_of_the_puck(episodes: dict[str, list[list]]) -> None:
-    reach = fetch.SLIDE.reach[1, 0]
+    reach = read_map("fetch-slide").bodies[0].bounds[1, 0]
     ends = [each.position[-1] for each in episodes["slide"][0]]
     assert all(end[GRIPPER, 0] < reach for end in ends)
     assert sum(end[OBJECT, 0] > reach for end in ends) >= 1

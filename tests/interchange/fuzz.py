@@ -18,14 +18,14 @@ from pathlib import Path
 import recordings
 
 from contactgraph.data import InvalidInputError
-from contactgraph.interchange import ImportMap, read_map, to_trajectories
+from contactgraph.interchange import SceneMap, read_map, to_trajectories
 from contactgraph.interchange.csv_table import read_csv
 from contactgraph.interchange.draft import draft_map
-from contactgraph.interchange.import_map import parse_map
 from contactgraph.interchange.lerobot import read_lerobot
 from contactgraph.interchange.minari import read_minari
 from contactgraph.interchange.recording import Recording
 from contactgraph.interchange.rosbag import read_rosbag
+from contactgraph.interchange.scene_map import parse_map
 
 LONGEST_S = 10.0
 WRONG = (None, True, -1, 0, 1e308, 2**70, "nan", "x" * 50, [], {}, [[1]], [None], "../../etc")
@@ -50,7 +50,7 @@ class Damage:
 
     read: Callable[[Path], Recording]
     good: Path
-    map: ImportMap
+    map: SceneMap
 
     def once(self, folder: Path, rng: random.Random) -> str:
         """Damages one file and reads; the reason of a refusal, or none."""

@@ -19,11 +19,11 @@ from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.interchange import read_map, shipped_maps, to_trajectories
 from contactgraph.interchange.csv_table import read_csv
 from contactgraph.interchange.draft import draft_map
-from contactgraph.interchange.import_map import parse_map
 from contactgraph.interchange.lerobot import read_lerobot
 from contactgraph.interchange.minari import read_minari
 from contactgraph.interchange.recording import Recording
 from contactgraph.interchange.rosbag import read_rosbag
+from contactgraph.interchange.scene_map import parse_map
 
 PLANE = """
 dimension = 2

@@ -8,6 +8,7 @@ import pytest
 
 from contactgraph.data import Dataset
 from contactgraph.interchange import read_map, to_trajectories
+from contactgraph.interchange.conversion import state_after
 from contactgraph.interchange.export_layout import export_layout
 from contactgraph.interchange.minari import read_minari, write_minari
 
@@ -21,25 +22,24 @@ def test_minari_writes_and_reads_fetch_push(
     import gymnasium_robotics
     import minari
 
-    from contactgraph.envs.fetch import PUSH, fetch_task
-    from contactgraph.envs.pose_reader import read_state
+    from contactgraph.envs.fetch import fetch_task
 
     gymnasium.register_envs(gymnasium_robotics)
     environment = minari.DataCollector(gymnasium.make("FetchPush-v4", max_episode_steps=6))
-    task, states, rng = fetch_task(PUSH), [], np.random.default_rng(0)
+    task, states, rng = fetch_task("fetch-push"), [], np.random.default_rng(0)
     for seed in range(2):
         observation, _ = environment.reset(seed=seed)
-        states.append([read_state(task.environment_map, observation, None)])
+        states.append([state_after(task.mapped(observation), None)])
         for _ in range(6):
             observation, *_ = environment.step(rng.uniform(-1, 1, 4).astype(np.float32))
-            states[-1].append(read_state(task.environment_map, observation, states[-1][-1]))
+            states[-1].append(state_after(task.mapped(observation), states[-1][-1]))
     environment.create_dataset(dataset_id="fetch-push/random-v0")
     folder = tmp_path / "fetch-push" / "random-v0"
     found = to_trajectories(read_minari(folder), read_map("fetch-push")).trajectories
     task.reset(seed=0)
     for trajectory, recorded in zip(found, states, strict=True):
         for name in ("position", "velocity", "orientation", "angular_velocity"):
-            expected = np.stack([getattr(each, name) for each in recorded])
+            expected = np.stack([each[name] for each in recorded])
             np.testing.assert_allclose(getattr(trajectory, name), expected, atol=1e-9, err_msg=name)
         for name in ("node_name", "node_type", "control_kind", "dt", "dimension"):
             assert getattr(trajectory.scene, name) == getattr(task.scene, name)

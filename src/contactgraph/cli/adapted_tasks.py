@@ -35,7 +35,7 @@ ADAPTED_TASKS = {
         title="A contact graph that pushes a T to a pose",
     ),
     "fetch-push": KnownTask(
-        partial(fetch.fetch_task, fetch.PUSH),
+        partial(fetch.fetch_task, "fetch-push"),
         fetch.push_expert,
         fetch.push_fixed_start,
         fetch.push_fixed_start,
@@ -47,7 +47,7 @@ ADAPTED_TASKS = {
         title="A contact graph that pushes a block with an arm",
     ),
     "fetch-slide": KnownTask(
-        partial(fetch.fetch_task, fetch.SLIDE),
+        partial(fetch.fetch_task, "fetch-slide"),
         fetch.slide_expert,
         fetch.slide_fixed_start,
         fetch.slide_fixed_start,
@@ -59,7 +59,7 @@ ADAPTED_TASKS = {
         title="A contact graph that strikes a puck",
     ),
     "fetch-pick-and-place": KnownTask(
-        partial(fetch.fetch_task, fetch.PICK_AND_PLACE),
+        partial(fetch.fetch_task, "fetch-pick-and-place"),
         fetch.pick_expert,
         fetch.pick_fixed_start,
         fetch.pick_fixed_start,

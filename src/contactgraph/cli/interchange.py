@@ -59,9 +59,9 @@ class Import:
                 f"{', '.join(shipped_maps())}"
             )
         check_writable(self.out)
-        import_map = read_map(self.map)
+        scene_map = read_map(self.map)
         recording = read(self.source)
-        found = to_trajectories(recording, import_map)
+        found = to_trajectories(recording, scene_map)
         dataset = Dataset(found.trajectories, {"source": self.format, "map": Path(self.map).name})
         warning = velocity_warning(dataset)
         if warning is not None:
@@ -77,7 +77,7 @@ class Import:
         if found.resampled:
             print(
                 f"  {found.resampled} episodes with gaps or uneven stamps were resampled, and cut "
-                f"at gaps of more than {import_map.max_gap:g} s"
+                f"at gaps of more than {scene_map.max_gap:g} s"
             )
 
 

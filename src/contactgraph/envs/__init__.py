@@ -15,10 +15,6 @@ from contactgraph.envs.contract import Policy as Policy
 from contactgraph.envs.contract import Renderable as Renderable
 from contactgraph.envs.contract import Task as Task
 from contactgraph.envs.door import DoorTask as DoorTask
-from contactgraph.envs.environment_map import Entries as Entries
-from contactgraph.envs.environment_map import EnvironmentMap as EnvironmentMap
-from contactgraph.envs.environment_map import MappedBody as MappedBody
-from contactgraph.envs.environment_map import MappedControl as MappedControl
 from contactgraph.envs.experts import DoorExpert as DoorExpert
 from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
 from contactgraph.envs.experts import PickupExpert as PickupExpert

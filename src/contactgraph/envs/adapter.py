@@ -1,7 +1,9 @@
 """Tasks made of other people's Gymnasium environments."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import gymnasium
@@ -9,12 +11,22 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
-from contactgraph.envs.environment_map import Entries, EnvironmentMap
-from contactgraph.envs.pose_reader import BodyState, read_state
+from contactgraph.interchange.conversion import State, state_after
+from contactgraph.interchange.map_entries import Entries
+from contactgraph.interchange.map_scene import map_scene
+from contactgraph.interchange.measurements import MappedEpisode
+from contactgraph.interchange.recording import Column, Episode
+from contactgraph.interchange.scene_map import SceneMap, read_map
+
+ContactReader = Callable[[gymnasium.Env[Any, Any]], np.ndarray]
+"""Which bodies touched in the last step, ``[N, N]`` bool, as the environment's simulator says."""
 
 _LARGEST = 1e6
 """Bound of the observation space, m, m/s: `check_env` warns about infinite bounds."""
 _START_TRIES = 1000
+_ARRAY = ("observations", "observation.state")
+"""Names of an observation that is an array: that of Minari, and that of LeRobot."""
+_ACTION = ("actions", "action")
 
 
 class WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -32,9 +44,18 @@ def watched_contact(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
 class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     """A Gymnasium environment as a `contactgraph.envs.Task`.
 
-    ``make_environment`` makes the environment, ``environment_map`` tells its bodies, its control
-    and its goal. An episode ends after ``max_steps`` steps, where the environment ends it, or
-    where a body leaves its bounds. The reward is the environment's own.
+    ``make_environment`` makes the environment. ``scene_map`` tells its bodies, its control and its
+    goal, as it does of a recording (a `SceneMap`, a file of one, or the name of one that ships):
+    ``observations/KEY[0:3]`` are entries of the observation under a key, ``observations[0:3]``
+    those of an observation that is an array, ``actions[0:3]`` those of the action. Entries of the
+    action that are no control stay at ``rest``.
+
+    ``cost`` names bodies by their indices in the map; the last of its chain is to reach the goal.
+    Success is its distance of at most ``tolerance`` m at the end, or else the entry
+    ``success_key`` of the environment's ``info``. ``score_key`` names an entry that tells how well
+    a step is, the more the better. Without ``contact`` bodies touch where their radii reach. An
+    episode ends after ``max_steps`` steps, where the environment ends it, or where a body leaves
+    its bounds. The reward is the environment's own.
 
     A start in which an actuated body touches another one, or a body is out of its bounds, is
     replaced by the next one of the same random stream.
@@ -48,16 +69,36 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     def __init__(
         self,
         make_environment: Callable[[], gymnasium.Env[Any, Any]],
-        environment_map: EnvironmentMap,
+        scene_map: SceneMap | str | Path,
+        *,
+        name: str,
+        cost: ChainCost,
+        max_steps: int,
+        tolerance: float | None = None,
+        success_key: str | None = None,
+        score_key: str | None = None,
+        contact: ContactReader | None = None,
+        rest: float = 0.0,
+        scene_metadata: Mapping[str, str] | None = None,
     ) -> None:
         self.environment = make_environment()
-        self.environment_map = environment_map
-        environment_map.check(self.environment)
-        self.max_steps = environment_map.max_steps
-        self.action_space = _control_space(self.environment, environment_map)
-        self.observation_space = _observation_space(environment_map)
+        self.map = scene_map if isinstance(scene_map, SceneMap) else read_map(str(scene_map))
+        self.name, self.max_steps = name, max_steps
+        self._cost, self._contact_reader = cost, contact
+        self._tolerance, self._success_key, self._score_key = tolerance, success_key, score_key
+        self._scene_metadata = {"task": name, **(scene_metadata or {})}
+        box = self._action_box()
+        self._entries, self._scale, self._offset = self._controlled(box)
+        self._check()
+        self._rest = np.full(box.shape, rest)
+        ends = np.stack([box.low[self._entries], box.high[self._entries]])
+        ends = self._scale * ends + self._offset
+        self.action_space = gymnasium.spaces.Box(
+            ends.min(axis=0), ends.max(axis=0), dtype=np.float64
+        )
+        self.observation_space = self._observation_space()
         self._scene: Scene | None = None
-        self._state: BodyState | None = None
+        self._state: State = {}
         self._info: dict[str, Any] = {}
         self._steps, self._over, self._best = 0, True, -np.inf
 
@@ -80,12 +121,14 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         for _ in range(_START_TRIES):
             raw, _ = self._guarded(scene_seed, start)
             start = partial(self.environment.reset, options=options)
-            self._state = read_state(self.environment_map, raw, None)
+            mapped = self.mapped(raw)
+            self._state = state_after(mapped, None)
             if self._inside() and not self._contact()[self._actuated()].any():
-                self._scene = self._make_scene(raw, scene_seed)
+                scene = map_scene(mapped, self._widths)
+                self._scene = replace(scene, metadata={**self._scene_metadata, "seed": scene_seed})
                 return self._observation(), {}
         raise InvalidInputError(
-            f"{self.environment_map.name}: in {_START_TRIES} starts after seed {scene_seed} an "
+            f"{self.name}: in {_START_TRIES} starts after seed {scene_seed} an "
             "actuated body touches another one or a body is out of its bounds"
         )
 
@@ -102,9 +145,9 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             seed, lambda: self.environment.step(self._environment_action(control))
         )
         self._steps += 1
-        if self.environment_map.score_key is not None:
-            self._best = max(self._best, float(self._info[self.environment_map.score_key]))
-        self._state = read_state(self.environment_map, raw, self._state)
+        if self._score_key is not None:
+            self._best = max(self._best, float(self._info[self._score_key]))
+        self._state = state_after(self.mapped(raw), self._state)
         terminated = bool(terminated) or not self._inside()
         truncated = bool(truncated) or self._steps == self.max_steps
         self._over = terminated or truncated
@@ -113,30 +156,34 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     def success(self) -> bool:
         """Whether the episode is over with every body in its bounds and the goal reached."""
-        if self._state is None or not (self._over and self._steps and self._inside()):
+        if not (self._state and self._over and self._steps and self._inside()):
             return False
-        key, tolerance = self.environment_map.success_key, self.environment_map.tolerance
-        if tolerance is None:
-            if key not in self._info:
+        if self._tolerance is None:
+            if self._success_key not in self._info:
                 raise InvalidInputError(
-                    f"map of {self.environment_map.name}: success_key must be one of "
-                    f"{', '.join(self._info)}; found {key!r}"
+                    f"{self.name}: success_key must be one of {', '.join(self._info)}; found "
+                    f"{self._success_key!r}"
                 )
-            return bool(self._info[key])
-        last = self._state.position[self.environment_map.cost.chain[-1]]
-        return bool(np.linalg.norm(last - self.scene.goal) <= tolerance)
+            return bool(self._info[self._success_key])
+        last = self._state["position"][self._cost.chain[-1]]
+        return bool(np.linalg.norm(last - self.scene.goal) <= self._tolerance)
 
     def best_score(self) -> float | None:
         """The best of the episode's scores. None: the environment has none."""
-        return None if self.environment_map.score_key is None else self._best
+        return None if self._score_key is None else self._best
 
     def cost_terms(self) -> ChainCost:
-        """The map's cost."""
-        return self.environment_map.cost
+        """The task's cost."""
+        return self._cost
 
     def close(self) -> None:
         """Closes the environment."""
         self.environment.close()
+
+    @property
+    def turns(self) -> bool:
+        """Whether the bodies' orientations are known."""
+        return any(body.orientation or body.keypoints is not None for body in self.map.bodies)
 
     def _guarded(self, seed: int, call: Callable[[], Any]) -> Any:
         """Calls the environment; an error of its own becomes one line that names the step."""
@@ -145,118 +192,124 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         except Exception as error:
             text = " ".join(str(error).split())
             raise InvalidInputError(
-                f"{self.environment_map.name}: the environment raised "
+                f"{self.name}: the environment raised "
                 f"{type(error).__name__}: {text} (seed {seed}, step {self._steps})"
             ) from error
 
+    def mapped(self, raw: Any) -> MappedEpisode:
+        """An observation as a recording of one row."""
+        arrays = (
+            {f"observations/{key}": value for key, value in raw.items()}
+            if (isinstance(raw, dict))
+            else dict.fromkeys(_ARRAY, raw)
+        )
+        columns = {
+            name: Column(np.asarray(value, dtype=np.float64).reshape(1, -1))
+            for name, value in arrays.items()
+        }
+        dt = self.map.dt
+        assert dt is not None
+        return MappedEpisode(Episode(self.name, columns), self.map, dt)
+
     def _environment_action(self, control: np.ndarray) -> np.ndarray:
-        mapped, box = self.environment_map.control, self.environment.action_space
-        assert isinstance(box, gymnasium.spaces.Box)
-        action = np.full(box.shape, mapped.rest)
-        offset = np.zeros(len(mapped.kind)) if mapped.offset is None else np.array(mapped.offset)
-        action[list(mapped.entries)] = (control - offset) / np.array(mapped.scale)
+        box, action = self._action_box(), self._rest.copy()
+        action[self._entries] = (control - self._offset) / self._scale
         return np.clip(action, box.low, box.high).astype(box.dtype)
 
     def _actuated(self) -> list[bool]:
-        return [body.actuated for body in self.environment_map.bodies]
+        return [body.actuated for body in self.map.bodies]
 
     def _inside(self) -> bool:
-        assert self._state is not None
         return all(
             body.bounds is None
             or bool(np.all((body.bounds[0] <= position) & (position <= body.bounds[1])))
-            for body, position in zip(
-                self.environment_map.bodies, self._state.position, strict=True
-            )
+            for body, position in zip(self.map.bodies, self._state["position"], strict=True)
         )
 
     def _contact(self) -> np.ndarray:
         """[N, N] bool."""
-        assert self._state is not None
-        if self.environment_map.contact is not None:
-            return np.asarray(self.environment_map.contact(self.environment), dtype=bool)
-        radius = np.array([body.radius for body in self.environment_map.bodies], dtype=np.float64)
-        position = self._state.position
+        if self._contact_reader is not None:
+            return np.asarray(self._contact_reader(self.environment), dtype=bool)
+        radius = np.array([float(body.constants["radius"]) for body in self.map.bodies])
+        position = self._state["position"]
         distance = np.linalg.norm(position[:, None] - position, axis=-1)
         return (distance <= radius[:, None] + radius) & ~np.eye(len(radius), dtype=bool)
 
     def _observation(self) -> Observation:
-        assert self._state is not None
-        observation = {
-            "position": self._state.position.copy(),
-            "velocity": self._state.velocity.copy(),
+        return {
+            **{name: value.copy() for name, value in self._state.items()},
             "contact": self._contact().astype(np.int8),
             "goal": np.array(self.scene.goal),
         }
-        if self.environment_map.turns:
-            observation["orientation"] = self._state.orientation.copy()
-            observation["angular_velocity"] = self._state.angular_velocity.copy()
-        return observation
 
-    def _make_scene(self, raw: Any, seed: int) -> Scene:
-        mapped, bodies = self.environment_map, self.environment_map.bodies
-        known = {
-            name: np.array(values, dtype=np.float64) if None not in values else None
-            for name, values in (
-                ("mass", [body.mass for body in bodies]),
-                ("radius", [body.radius for body in bodies]),
-            )
+    def _observation_space(self) -> gymnasium.spaces.Dict:
+        count, dimension = len(self.map.bodies), self.map.dimension
+
+        def box(*shape: int) -> gymnasium.spaces.Box:
+            return gymnasium.spaces.Box(-_LARGEST, _LARGEST, shape, np.float64)
+
+        spaces: dict[str, gymnasium.spaces.Space[Any]] = {
+            "position": box(count, dimension),
+            "velocity": box(count, dimension),
+            "contact": gymnasium.spaces.Box(0, 1, (count, count), np.int8),
+            "goal": box(dimension),
         }
-        goal = mapped.goal
-        outlines = [(i, each) for i, body in enumerate(bodies) for each in body.polygons]
-        return Scene(
-            node_name=tuple(body.name for body in bodies),
-            node_type=tuple(body.type for body in bodies),
-            actuated=np.array(self._actuated()),
-            dt=mapped.dt,
-            dimension=mapped.dimension,
-            goal=mapped.scale * goal.read(raw) if isinstance(goal, Entries) else np.array(goal),
-            gravity=None if mapped.gravity is None else np.array(mapped.gravity),
-            mass=known["mass"],
-            radius=known["radius"],
-            size=_box_sizes(mapped),
-            control_kind=mapped.control.kind,
-            control_of=np.array(
-                [[name == body.name for name in mapped.control.body] for body in bodies]
-            ),
-            planes=mapped.planes,
-            polygons=tuple(outline for _, outline in outlines) or None,
-            polygon_of=np.array([index for index, _ in outlines]) if outlines else None,
-            metadata={"task": mapped.name, "seed": seed, **mapped.metadata},
-        )
+        if self.turns:
+            spaces["orientation"] = box(count, 1 if dimension == 2 else 4)
+            spaces["angular_velocity"] = box(count, 1 if dimension == 2 else 3)
+        return gymnasium.spaces.Dict(spaces)
 
+    def _action_box(self) -> gymnasium.spaces.Box:
+        box = self.environment.action_space
+        if not isinstance(box, gymnasium.spaces.Box) or len(box.shape) != 1:
+            self._fail(f"the environment's action_space must be a Box of shape (U,), found {box}")
+        return cast(gymnasium.spaces.Box, box)
 
-def _box_sizes(environment_map: EnvironmentMap) -> np.ndarray | None:
-    """[N, D] m, NaN where a body is no box; None where none is."""
-    sizes = [body.size for body in environment_map.bodies]
-    none = (np.nan,) * environment_map.dimension
-    return np.array([size or none for size in sizes]) if any(sizes) else None
+    def _controlled(self, box: gymnasium.spaces.Box) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """For each component of the control its entry of the action, scale and offset."""
+        indices = dict.fromkeys(_ACTION, Column(np.arange(box.shape[0], dtype=np.float64)[None]))
+        episode, entries, parts = Episode(self.name, indices), [], []
+        for each in self.map.controls:
+            plain = Entries(each.entries.where, each.entries.columns)
+            found = plain.read(episode).values[0].astype(int)
+            entries += found.tolist()
+            each.entries.read(episode)  # refuses a wrong number of scales
+            shape = found.shape
+            parts.append(
+                [np.broadcast_to(x, shape) for x in (each.entries.scale, each.entries.offset)]
+            )
+        self._widths = [len(scale) for scale, _ in parts]
+        scale, offset = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0))
+        if not (np.isfinite(box.low[entries]) & np.isfinite(box.high[entries])).all():
+            self._fail("the environment's action_space must be bounded")
+        if not np.all(scale):
+            self._fail("the scale of a control must not be 0")
+        return entries, scale, offset
 
+    def _check(self) -> None:
+        """Raises `InvalidInputError` where map, cost and environment do not fit."""
+        bodies = self.map.bodies
+        if self.map.dt is None or self.map.goal is None:
+            self._fail("the map must have [time] dt and a goal")
+        if not any(body.actuated for body in bodies):
+            self._fail("at least one body must be actuated, found none")
+        if (self._tolerance is None) == (self._success_key is None):
+            self._fail("success needs a tolerance or a success_key, and not both")
+        if max(self._cost.chain) >= len(bodies):
+            self._fail(
+                f"cost.chain must name bodies 0 to {len(bodies) - 1}, found {self._cost.chain}"
+            )
+        for body in bodies:
+            if self.turns and body.orientation is None and body.keypoints is None:
+                self._fail(f"{body.name}: orientation must be known, as another body's is")
+            if self._contact_reader is None and "radius" not in body.constants:
+                self._fail(f"{body.name} needs a radius, or the task a contact function")
+        mapped = self.mapped(self.environment.observation_space.sample())
+        try:
+            state_after(mapped, None)
+            map_scene(mapped, self._widths)
+        except InvalidInputError as error:
+            self._fail(str(error))
 
-def _control_space(
-    environment: gymnasium.Env[Any, Any], environment_map: EnvironmentMap
-) -> gymnasium.spaces.Box:
-    mapped, box = environment_map.control, environment.action_space
-    assert isinstance(box, gymnasium.spaces.Box)
-    scale, entries = np.array(mapped.scale), list(mapped.entries)
-    offset = np.zeros(len(scale)) if mapped.offset is None else np.array(mapped.offset)
-    ends = np.stack([scale * box.low[entries] + offset, scale * box.high[entries] + offset])
-    return gymnasium.spaces.Box(ends.min(axis=0), ends.max(axis=0), dtype=np.float64)
-
-
-def _observation_space(environment_map: EnvironmentMap) -> gymnasium.spaces.Dict:
-    count, dimension = len(environment_map.bodies), environment_map.dimension
-
-    def box(*shape: int) -> gymnasium.spaces.Box:
-        return gymnasium.spaces.Box(-_LARGEST, _LARGEST, shape, np.float64)
-
-    spaces: dict[str, gymnasium.spaces.Space[Any]] = {
-        "position": box(count, dimension),
-        "velocity": box(count, dimension),
-        "contact": gymnasium.spaces.Box(0, 1, (count, count), np.int8),
-        "goal": box(dimension),
-    }
-    if environment_map.turns:
-        spaces["orientation"] = box(count, 1 if dimension == 2 else 4)
-        spaces["angular_velocity"] = box(count, 1 if dimension == 2 else 3)
-    return gymnasium.spaces.Dict(spaces)
+    def _fail(self, message: str) -> None:
+        raise InvalidInputError(f"{self.name}: {message}")

@@ -1,6 +1,5 @@
 """The task ``pusht``: the environment PushT of gym-pusht, by its map."""
 
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,12 +9,9 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.adapter import AdaptedTask, WatchedContact, watched_contact
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.environment_map import Entries, EnvironmentMap, MappedBody, MappedControl
 from contactgraph.envs.pickup import GOAL_WEIGHTS
 from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
-SCALE = 0.001
-"""m per pixel: PushT names no unit of length; so its table is half a metre wide."""
 TOLERANCE = 0.02
 """m, at any angle: see `pusht_pose_task` for the environment's own success."""
 MAX_STEPS = 150
@@ -24,17 +20,9 @@ CONTROL_WEIGHT = 1e-4
 """1/m^2. The control is a place on the table, and none is better than another."""
 ANGLE_WEIGHT = GOAL_WEIGHTS[0] * 0.055**2
 """1/rad^2: of a turn as of the way of points at the T's radius of gyration."""
-AGENT_RADIUS = 0.015
-CENTRE = np.array([0.0, 0.045])
-"""m, in the block's frame: its centre of mass in the simulator."""
-BARS = (
-    np.array([[-0.06, 0.0], [0.06, 0.0], [0.06, 0.03], [-0.06, 0.03]]),
-    np.array([[-0.015, 0.03], [0.015, 0.03], [0.015, 0.12], [-0.015, 0.12]]),
-)
-"""m, in the block's frame: the two bars of the T."""
-WALLS = (0.007, 0.504)
-"""m: inner faces of the four walls, on both axes. They stop the block, not the agent."""
-GOAL, GOAL_ANGLE = np.array([0.256, 0.256]), np.pi / 4.0
+_MAP = "pusht-state"
+"""A pixel is a millimetre: PushT names no unit of length; so its table is half a metre wide."""
+GOAL_ANGLE = np.pi / 4.0
 
 
 def pusht_pose_task() -> AdaptedTask:
@@ -45,22 +33,20 @@ def pusht_pose_task() -> AdaptedTask:
     """
     return AdaptedTask(
         _make_environment,
-        replace(
-            _pusht_map(),
-            name="pusht-pose",
-            cost=ChainCost(
-                (0, 1),
-                NEAR_WEIGHTS,
-                GOAL_WEIGHTS,
-                CONTROL_WEIGHT,
-                goal_angle=GOAL_ANGLE,
-                angle_weight=ANGLE_WEIGHT,
-            ),
-            max_steps=2 * MAX_STEPS,
-            tolerance=None,
-            success_key="is_success",
-            score_key="coverage",
+        _MAP,
+        name="pusht-pose",
+        cost=ChainCost(
+            (0, 1),
+            NEAR_WEIGHTS,
+            GOAL_WEIGHTS,
+            CONTROL_WEIGHT,
+            goal_angle=GOAL_ANGLE,
+            angle_weight=ANGLE_WEIGHT,
         ),
+        max_steps=2 * MAX_STEPS,
+        success_key="is_success",
+        score_key="coverage",
+        contact=watched_contact,
     )
 
 
@@ -71,7 +57,15 @@ def pusht_task() -> AdaptedTask:
     of mass. The control ``[2]`` m is the position to which a servo in the simulator takes the
     agent. Success is a final distance of at most 2 cm to the goal, at any angle.
     """
-    return AdaptedTask(_make_environment, _pusht_map())
+    return AdaptedTask(
+        _make_environment,
+        _MAP,
+        name="pusht",
+        cost=ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
+        max_steps=MAX_STEPS,
+        tolerance=TOLERANCE,
+        contact=watched_contact,
+    )
 
 
 def _make_environment() -> gymnasium.Env[Any, Any]:
@@ -109,49 +103,6 @@ class _WatchedContact(WatchedContact):
         """Makes a step, in which the simulator calls back for each contact of each substep."""
         self.touched = False
         return super().step(action)
-
-
-def _pusht_map() -> EnvironmentMap:
-    sine, cosine = np.sin(GOAL_ANGLE), np.cos(GOAL_ANGLE)
-    goal = GOAL + np.array([[cosine, -sine], [sine, cosine]]) @ CENTRE
-    reach = np.array([[-0.001, -0.001], [0.513, 0.513]])
-    low, high = WALLS
-    return EnvironmentMap(
-        name="pusht",
-        dt=0.1,
-        bodies=(
-            MappedBody(
-                name="agent",
-                type="agent",
-                position=Entries(0, 2),
-                orientation=(0.0,),
-                actuated=True,
-                bounds=reach,
-            ),
-            MappedBody(
-                name="block",
-                type="block",
-                position=Entries(2, 4),
-                orientation=Entries(4, 5),
-                reference=tuple(CENTRE),
-                bounds=reach,
-                polygons=tuple(bar - CENTRE for bar in BARS),
-            ),
-        ),
-        control=MappedControl(
-            kind=("position", "position"),
-            body=("agent", "agent"),
-            entries=(0, 1),
-            scale=(SCALE, SCALE),
-        ),
-        goal=(float(goal[0]), float(goal[1])),
-        cost=ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
-        max_steps=MAX_STEPS,
-        tolerance=TOLERANCE,
-        scale=SCALE,
-        contact=watched_contact,
-        planes=np.array([[1.0, 0.0, low], [-1.0, 0.0, -high], [0.0, 1.0, low], [0.0, -1.0, -high]]),
-    )
 
 
 STYLE = PushStyle(clearance=0.105, speed=0.2, lead=0.2, near_enough=0.015)

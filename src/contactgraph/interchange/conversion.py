@@ -8,7 +8,6 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.data.turns import angular_velocity, rotations
 from contactgraph.interchange import resampling
-from contactgraph.interchange.import_map import BodyMap, ImportMap, PairMap
 from contactgraph.interchange.map_scene import map_scene
 from contactgraph.interchange.measurements import (
     STATE,
@@ -18,6 +17,10 @@ from contactgraph.interchange.measurements import (
     read_track,
 )
 from contactgraph.interchange.recording import Recording
+from contactgraph.interchange.scene_map import BodyMap, PairMap, SceneMap
+
+State = dict[str, np.ndarray]
+"""Of all bodies at one step, [N, W] each, by the names of `STATE`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,24 +34,24 @@ class Conversion:
     """Trajectories that end, or would begin, where a body is out of its bounds."""
 
 
-def to_trajectories(recording: Recording, import_map: ImportMap) -> Conversion:
+def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
     """The trajectories of a recording, whose columns the map describes.
 
     Raises `InvalidInputError`, which names the episode and the key of the map, where they do not
     fit.
     """
-    dt = import_map.dt or recording.dt
+    dt = scene_map.dt or recording.dt
     found: list[Trajectory] = []
     resampled = left = 0
     for episode in recording.episodes:
         try:
             if dt is None:
                 raise InvalidInputError(
-                    f"{import_map.where}: the time of a step must be given, [time] dt = s; "
+                    f"{scene_map.where}: the time of a step must be given, [time] dt = s; "
                     f"--inspect suggests one"
                 )
-            parts, even = _converted(MappedEpisode(episode, import_map, dt))
-            kept = [_within_bounds(each, import_map) for each in parts]
+            parts, even = _converted(MappedEpisode(episode, scene_map, dt))
+            kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
             raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
         found += [each for each in kept if each is not None]
@@ -92,17 +95,12 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
     return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], False
 
 
-def _within_bounds(trajectory: Trajectory, import_map: ImportMap) -> Trajectory | None:
+def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:
     """The steps before a body leaves its bounds; None where there is none."""
     inside = np.ones(len(trajectory.position), dtype=bool)
-    for node, body in enumerate(import_map.bodies):
+    for node, body in enumerate(scene_map.bodies):
         if body.bounds is None:
             continue
-        if body.bounds.shape[1] != import_map.dimension:
-            raise InvalidInputError(
-                f"{body.name}: bounds must have shape (2, {import_map.dimension}), "
-                f"found {body.bounds.shape}"
-            )
         low, high = body.bounds
         position = trajectory.position[:, node]
         inside &= np.all((low <= position) & (position <= high), axis=1)
@@ -168,28 +166,62 @@ def _at_times(track: Track, at: np.ndarray | None, states: int) -> dict[str, np.
     return found
 
 
+def state_after(mapped: MappedEpisode, previous: State | None) -> State:
+    """[N, W] by the names of `STATE`: the state that an episode of one row tells.
+
+    Angles and signs of quaternions go on from ``previous``, the state before, and velocities that
+    are not given are differences to it; at the start it is None, and these are 0. Without any
+    orientation there are no turns.
+    """
+    bodies = mapped.map.bodies
+    given = [_at_times(read_track(mapped, body), None, 1) for body in bodies]
+    _to_world(mapped.map, given)
+    if previous is not None:
+        for node, each in enumerate(given):
+            for name, now in each.items():
+                each[name] = np.concatenate([previous[name][node][None], now])
+            if "orientation" in each:
+                each["orientation"] = resampling.continued(each["orientation"])
+    found = _with_rates(mapped, given)
+    return {name: np.stack([each[name][-1] for each in given]) for name in found}
+
+
 def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[str, Any]:
     """Positions, velocities and turns [T+1, N, W] in the world, derived where not recorded."""
-    bodies, dt = mapped.map.bodies, mapped.dt
-    names = [body.name for body in bodies]
-    base = [None if b.relative_to is None else names.index(b.relative_to) for b in bodies]
-    turns = any("orientation" in each for each in given)
-    for each in given:
-        if turns:
-            unknown = np.full(
-                (len(each["position"]), 1 if mapped.map.dimension == 2 else 4), np.nan
-            )
+    _to_world(mapped.map, given)
+    names = _with_rates(mapped, given)
+    return {name: np.stack([each[name] for each in given], axis=1) for name in names}
+
+
+def _base(scene_map: SceneMap) -> list[int | None]:
+    """For each body, the one to which it is relative."""
+    names = [body.name for body in scene_map.bodies]
+    return [None if b.relative_to is None else names.index(b.relative_to) for b in scene_map.bodies]
+
+
+def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
+    """Poses [S, W] of each body in the world, in the place of those that the map describes."""
+    dimension = scene_map.dimension
+    if any("orientation" in each for each in given):
+        for each in given:
+            unknown = np.full((len(each["position"]), 1 if dimension == 2 else 4), np.nan)
             each["orientation"] = resampling.continued(each.get("orientation", unknown))
-    for each, of in zip(given, base, strict=True):
+    for each, of in zip(given, _base(scene_map), strict=True):
         if of is not None:
             each["position"] = each["position"] + given[of]["position"]
-    for body, each in zip(bodies, given, strict=True):
+    for body, each in zip(scene_map.bodies, given, strict=True):
         if body.reference is not None:
-            each["position"] = each["position"] + _turned(body, each, mapped.map.dimension)
+            each["position"] = each["position"] + _turned(body, each, dimension)
+
+
+def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tuple[str, ...]:
+    """Adds the velocities [S, W] that are not given; the names of what there is then."""
+    bodies, dt = mapped.map.bodies, mapped.dt
+    turns = "orientation" in given[0]
     for body, each in zip(bodies, given, strict=True):
         if body.velocity is None:
             each["velocity"] = _difference(each["position"], dt)
-        if turns and "angular_velocity" not in each:
+        if turns and body.angular_velocity is None:
             turn = each["orientation"]
             each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
             known = np.isfinite(turn).all(axis=1)
@@ -198,11 +230,10 @@ def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[st
             both = both[both > 0]
             if len(both):
                 each["angular_velocity"][both] = angular_velocity(turn[both - 1], turn[both], dt)
-    for body, each, of in zip(bodies, given, base, strict=True):
+    for body, each, of in zip(bodies, given, _base(mapped.map), strict=True):
         if body.velocity is not None and of is not None:
             each["velocity"] = each["velocity"] + given[of]["velocity"]
-    kept = STATE if turns else STATE[:2]
-    return {name: np.stack([each[name] for each in given], axis=1) for name in kept}
+    return STATE if turns else STATE[:2]
 
 
 def _difference(position: np.ndarray, dt: float) -> np.ndarray:

@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 
-from contactgraph.interchange.import_map import parse_map, shipped_map_text, shipped_maps
 from contactgraph.interchange.recording import Episode, Recording
+from contactgraph.interchange.scene_map import parse_map, shipped_map_text, shipped_maps
 
 _POSITION = re.compile(
     r"(?P<body>.+?)\.(?:pose\.pose\.|pose\.|transform\.)?(?:position|translation)"

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.interchange.import_map import ImportMap
 from contactgraph.interchange.measurements import MappedEpisode
+from contactgraph.interchange.scene_map import SceneMap
 
 
 def map_scene(mapped: MappedEpisode, widths: list[int]) -> Scene:
@@ -54,7 +54,7 @@ def map_scene(mapped: MappedEpisode, widths: list[int]) -> Scene:
     )
 
 
-def _constant(name: str, found: ImportMap) -> np.ndarray:
+def _constant(name: str, found: SceneMap) -> np.ndarray:
     """[N, …] of a constant that some bodies have; NaN for the others."""
     shape = {
         "mass": (),
@@ -66,6 +66,10 @@ def _constant(name: str, found: ImportMap) -> np.ndarray:
     rows = []
     for body in found.bodies:
         value = body.constants.get(name, np.full(shape, np.nan))
+        if not shape and name not in body.constants:
+            raise InvalidInputError(
+                f"{found.where}: {body.name}: {name} must be given, as another body's is"
+            )
         if value.shape != shape:
             raise InvalidInputError(
                 f"{found.where}: {body.name}: {name} must have shape {shape}, found {value.shape}"

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.interchange.import_map import BodyMap, ImportMap, Turn
 from contactgraph.interchange.map_entries import Entries
 from contactgraph.interchange.recording import Column, Episode
+from contactgraph.interchange.scene_map import BodyMap, SceneMap, Turn
 
 STATE = ("position", "velocity", "orientation", "angular_velocity")
 _TINY = 1e-6
@@ -18,7 +18,7 @@ class MappedEpisode:
     """An episode with the map of its columns."""
 
     episode: Episode
-    map: ImportMap
+    map: SceneMap
     dt: float
 
     def times(self, column: Column) -> np.ndarray:

@@ -87,7 +87,7 @@ class PairMap:
 
 
 @dataclass(frozen=True, eq=False)
-class ImportMap:
+class SceneMap:
     """The meaning of a recording's columns."""
 
     where: str
@@ -117,7 +117,7 @@ def shipped_map_text(name: str) -> str:
     return (_SHIPPED / f"{name}.toml").read_text(encoding="utf-8")
 
 
-def read_map(name: str) -> ImportMap:
+def read_map(name: str) -> SceneMap:
     """The map in a TOML file, or the shipped one of this name.
 
     Raises `InvalidInputError`, which names the key, where it is missing, unknown or wrong.
@@ -138,7 +138,7 @@ def read_map(name: str) -> ImportMap:
     return parse_map(name, text)
 
 
-def parse_map(where: str, text: str) -> ImportMap:
+def parse_map(where: str, text: str) -> SceneMap:
     """The map in a TOML text; ``where`` names it in errors."""
     try:
         content = tomllib.loads(text)
@@ -150,7 +150,7 @@ def parse_map(where: str, text: str) -> ImportMap:
     check_keys(root, *keys, *_CONSTANTS)
     time = root.inner("time") if "time" in content else JsonFields(where, {})
     check_keys(time, "dt", "columns", "scale", "offset", "max_gap")
-    found = ImportMap(
+    found = SceneMap(
         where=where,
         dimension=root.count("dimension", 2),
         bodies=tuple(map(_body, root.each("body"))),
@@ -168,7 +168,7 @@ def parse_map(where: str, text: str) -> ImportMap:
     return found
 
 
-def _check(found: ImportMap) -> None:
+def _check(found: SceneMap) -> None:
     names = [body.name for body in found.bodies]
     if found.dimension not in (2, 3) or not names:
         raise InvalidInputError(
@@ -176,6 +176,11 @@ def _check(found: ImportMap) -> None:
         )
     bodies = {body.name: body for body in found.bodies}
     for body in found.bodies:
+        if body.bounds is not None and body.bounds.shape != (2, found.dimension):
+            raise InvalidInputError(
+                f"{found.where}: {body.name}: bounds must have shape (2, {found.dimension}), "
+                f"found {body.bounds.shape}"
+            )
         if body.relative_to is not None and (
             body.relative_to not in bodies or bodies[body.relative_to].relative_to is not None
         ):
