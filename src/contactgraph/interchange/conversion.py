@@ -19,6 +19,8 @@ from contactgraph.interchange.measurements import (
 from contactgraph.interchange.recording import Recording
 from contactgraph.interchange.scene_map import BodyMap, PairMap, SceneMap
 
+_SAME_STEP = 0.1
+"""Largest relative difference of times from steps in another unit."""
 State = dict[str, np.ndarray]
 """Of all bodies at one step, [N, W] each, by the names of `STATE`."""
 
@@ -72,11 +74,13 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
         name: [finite_rows(mapped, each.entries) for each in getattr(mapped.map, name)]
         for name in ("contact", "holding")
     }
+    _check_frames(mapped.map, tracks)
     moving = [each.times for each in tracks if not each.fixed]
     if not moving:
         raise InvalidInputError("the position of at least one body must be recorded")
     states = max(map(len, moving))
     times = next(each for each in moving if len(each) == states)
+    _check_units(mapped, times)
     even = (
         states > 1
         and all(np.array_equal(each, times) for each in moving)
@@ -93,6 +97,32 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
         moving, [each for each, _ in controls], mapped.dt, mapped.map.max_gap
     )
     return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], False
+
+
+def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
+    """Refuses positions that the recording says are in different frames, unless the map does."""
+    frames = {
+        body.name: track.frame
+        for body, track in zip(scene_map.bodies, tracks, strict=True)
+        if track.frame and body.in_frame_of is None
+    }
+    if len(set(frames.values())) > 1:
+        found = ", ".join(f"{name} in {frame!r}" for name, frame in frames.items())
+        raise InvalidInputError(
+            f"{scene_map.where}: positions must be in one frame, found {found}; "
+            'in_frame_of = "BODY" is for a pose in the frame of another body'
+        )
+
+
+def _check_units(mapped: MappedEpisode, times: np.ndarray) -> None:
+    """Refuses times a thousand, a million or a billion steps apart, which are not in s."""
+    apart = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if abs(apart * scale / mapped.dt - 1.0) < _SAME_STEP:
+            raise InvalidInputError(
+                f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
+                f"s in {unit}: [time] columns with scale = {scale:g}"
+            )
 
 
 def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:
@@ -194,9 +224,9 @@ def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[st
 
 
 def _base(scene_map: SceneMap) -> list[int | None]:
-    """For each body, the one to which it is relative."""
+    """For each body, the one from which its position counts."""
     names = [body.name for body in scene_map.bodies]
-    return [None if b.relative_to is None else names.index(b.relative_to) for b in scene_map.bodies]
+    return [None if body.base is None else names.index(body.base) for body in scene_map.bodies]
 
 
 def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
@@ -206,12 +236,19 @@ def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
         for each in given:
             unknown = np.full((len(each["position"]), 1 if dimension == 2 else 4), np.nan)
             each["orientation"] = resampling.continued(each.get("orientation", unknown))
-    for each, of in zip(given, _base(scene_map), strict=True):
-        if of is not None:
-            each["position"] = each["position"] + given[of]["position"]
+    for body, each, of in zip(scene_map.bodies, given, _base(scene_map), strict=True):
+        if of is None:
+            continue
+        offset, base = each["position"], given[of]
+        if body.in_frame_of is not None:
+            offset = _turned(body, "in_frame_of", base, offset)
+            each["orientation"] = _composed(base["orientation"], each["orientation"])
+        each["position"] = base["position"] + offset
     for body, each in zip(scene_map.bodies, given, strict=True):
         if body.reference is not None:
-            each["position"] = each["position"] + _turned(body, each, dimension)
+            if body.reference.shape != (dimension,):
+                raise InvalidInputError(f"{body.name}: reference must have {dimension} numbers")
+            each["position"] = each["position"] + _turned(body, "reference", each, body.reference)
 
 
 def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tuple[str, ...]:
@@ -225,11 +262,13 @@ def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tu
             turn = each["orientation"]
             each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
             known = np.isfinite(turn).all(axis=1)
-            both = np.flatnonzero(known & np.roll(known, 1))
-            each["angular_velocity"][known] = 0.0
-            both = both[both > 0]
+            rate = each["angular_velocity"]
+            both = 1 + np.flatnonzero(known[1:] & known[:-1])
             if len(both):
-                each["angular_velocity"][both] = angular_velocity(turn[both - 1], turn[both], dt)
+                rate[both] = angular_velocity(turn[both - 1], turn[both], dt)
+            first = np.flatnonzero(known & np.isnan(rate[:, 0]))
+            later = np.minimum(first + 1, len(rate) - 1)
+            rate[first] = np.nan_to_num(rate[later])  # one that is known alone has none
     for body, each, of in zip(bodies, given, _base(mapped.map), strict=True):
         if body.velocity is not None and of is not None:
             each["velocity"] = each["velocity"] + given[of]["velocity"]
@@ -237,22 +276,34 @@ def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tu
 
 
 def _difference(position: np.ndarray, dt: float) -> np.ndarray:
-    """Backward differences, zero at the first step."""
-    return np.diff(position, axis=0, prepend=position[:1]) / dt
+    """Backward differences; the first is the next one's, and 0 where there is none."""
+    rate = np.diff(position, axis=0, prepend=position[:1]) / dt
+    rate[:1] = rate[1:2] if len(rate) > 1 else 0.0
+    return rate
 
 
-def _turned(body: BodyMap, given: dict[str, np.ndarray], dimension: int) -> np.ndarray:
-    """[T+1, D] m: the body's ``reference`` in world axes."""
-    reference, turn = body.reference, given.get("orientation")
-    if reference is None or reference.shape != (dimension,):
-        raise InvalidInputError(f"{body.name}: reference must have {dimension} numbers")
+def _turned(
+    body: BodyMap, key: str, given: dict[str, np.ndarray], vector: np.ndarray
+) -> np.ndarray:
+    """[S, D]: vectors of a frame, whose orientation is given, in world axes."""
+    turn = given.get("orientation")
     if turn is None or not np.isfinite(turn).all():
-        raise InvalidInputError(f"{body.name}: reference needs an orientation at every step")
-    if dimension == 3:
-        return np.asarray(rotations(turn).apply(reference))
+        raise InvalidInputError(f"{body.name}: {key} needs an orientation at every step")
+    if turn.shape[1] == 4:
+        return np.asarray(rotations(turn).apply(vector))
     cosine, sine = np.cos(turn), np.sin(turn)
-    across = np.array([-reference[1], reference[0]])
-    return np.asarray(cosine * reference + sine * across)
+    across = np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+    return np.asarray(cosine * vector + sine * across)
+
+
+def _composed(base: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Orientations [S, 1 or 4] in the world of those in a frame; NaN stays."""
+    if turn.shape[1] == 1:
+        return base + turn
+    known = np.isfinite(turn).all(axis=1)
+    found = turn.copy()
+    found[known] = np.roll((rotations(base[known]) * rotations(turn[known])).as_quat(), 1, axis=1)
+    return resampling.continued(found)
 
 
 def _flags(

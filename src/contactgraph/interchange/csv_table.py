@@ -1,14 +1,17 @@
-"""CSV files: a header of names with rows of numbers, or an export of Motive (OptiTrack).
+"""CSV files: a header of names with rows of numbers, or an export of Motive or of Vicon Nexus.
 
 Motive's layout is that of its format versions 1.2 to 1.25
 (https://docs.optitrack.com/motive/data-export/data-export-csv): a line of properties, then one line
-each for types, names, IDs and parts of the columns, and axes beside ``Frame`` and ``Time``.
+each for types, names, IDs and parts of the columns, and axes beside ``Frame`` and ``Time``. Nexus
+writes sections, each with a line for its kind, rate, names, axes and units.
 """
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -29,13 +32,16 @@ _HEADER_ROWS = 20
 _UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 _TIMES = ("time", "t", "timestamp")
 _EPISODE = "episode"
+_NEXUS = ("Trajectories", "Segments", "Joints", "Devices", "Model Outputs")
+_NEXUS_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "deg": np.pi / 180.0, "rad": 1.0}
 
 
 def read_csv(source: Path) -> Recording:
     """The table in a file, or the tables of all files ``*.csv`` in a folder.
 
-    A file is an episode, or has a column ``episode`` whose number changes from one to the next. The
-    times of its rows are those of a column ``time``, ``t`` or ``timestamp``, s, if there is one.
+    A file is an episode, or has a column ``episode``, whose rows of one value are one. The times of
+    its rows are those of a column ``time``, ``t`` or ``timestamp``, in s or as ISO 8601 texts, if
+    there is one. Lines that begin with ``#`` above the names are comments.
     """
     episodes: list[Episode] = []
     rates: set[float | None] = set()
@@ -44,13 +50,14 @@ def read_csv(source: Path) -> Recording:
         check_file(path, _LARGEST_FILE)
         try:
             with path.open(encoding="utf-8-sig", newline="") as file:
-                first = file.readline(2**20)
-                file.seek(0)
-                rows = csv.reader(file, delimiter=max(",;\t", key=first.count))
+                first, delimiter = _first_line(file)
+                rows = csv.reader(file, delimiter=delimiter)
                 if first.lstrip('"').startswith("Format Version"):
                     found, rate = _motive(path, rows)
+                elif first.strip(f'"\r\n{delimiter}') in _NEXUS:
+                    found, rate = _nexus(path, rows)
                 else:
-                    found, rate = _plain(path, rows), None
+                    found, rate = _plain(path, rows, delimiter != ","), None
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             reason = " ".join(str(error).split())[:200]
             raise InvalidInputError(
@@ -64,37 +71,73 @@ def read_csv(source: Path) -> Recording:
     return Recording(str(source), tuple(episodes), dt=1.0 / rate if rate else None)
 
 
-def _plain(path: Path, rows: Iterator[list[str]]) -> list[Episode]:
-    """The episodes of a table with one line of names."""
+def _first_line(file: TextIO) -> tuple[str, str]:
+    """The first line of the table, from which the file goes on, and the delimiter."""
+    delimiter = ""
+    while True:
+        at, first = file.tell(), file.readline(2**20)
+        if first.lower().startswith("sep="):
+            delimiter = first[4:5]
+        elif not first.startswith("#"):
+            file.seek(at)
+            return first, delimiter.strip("\r\n") or max(",;\t", key=first.count)
+
+
+def _plain(path: Path, rows: Iterator[list[str]], comma: bool) -> list[Episode]:
+    """The episodes of a table with one line of names; ``comma``: as decimal point, too."""
     names = [each.strip() for each in next(rows, [])]
     while names and not names[-1]:
         names.pop()
+    if names and not names[0]:
+        names[0] = "index"  # of a data frame
     if not names or not all(names) or len(set(names)) != len(names):
         raise InvalidInputError(f"{path}: must begin with a line of different names, found {names}")
     if len(names) > _MOST_COLUMNS:
         raise InvalidInputError(f"{path}: must have at most {_MOST_COLUMNS} columns")
-    numbers, texts = _numbers(path, rows, len(names))
-    others = {names[index]: text for index, text in texts.items()}
-    there = {name: index for index, name in enumerate(names) if name not in others}
-    lower = {name.lower(): index for name, index in there.items()}
+    lower = {name.lower(): index for index, name in enumerate(names)}
     time = next((lower[name] for name in _TIMES if name in lower), None)
-    parts = [numbers]
+    raw: dict[int, list[str]] = {
+        index: [] for index in (time, lower.get(_EPISODE)) if index is not None
+    }
+    numbers, texts = _numbers(path, rows, len(names), comma, raw)
+    no_times = ""
+    if time in texts and time is not None:
+        try:
+            numbers[:, time] = _seconds(raw[time])
+        except (ValueError, TypeError):
+            no_times = f"column {names[time]!r} must be s or ISO 8601 times, found {texts[time]}"
+            time = None
+    others = {names[index]: text for index, text in texts.items() if index != time}
+    there = {name: index for index, name in enumerate(names) if name not in others}
+    parts = [np.arange(len(numbers))]
     if _EPISODE in lower:
-        index = numbers[:, lower[_EPISODE]]
-        parts = np.split(numbers, np.flatnonzero(np.diff(index)) + 1)
+        _, firsts, which = np.unique(raw[lower[_EPISODE]], return_index=True, return_inverse=True)
+        parts = [np.flatnonzero(which == index) for index in np.argsort(firsts)]
     episodes: list[Episode] = []
     for part in parts:
-        stamps = None if time is None else part[:, time]
-        columns = {name: Column(part[:, [index]], stamps) for name, index in there.items()}
-        named = path.name if len(parts) == 1 else f"{path.name}: {_EPISODE} {len(episodes)}"
-        episodes.append(Episode(named, columns, others))
+        stamps = None if time is None else numbers[part, time]
+        columns = {name: Column(numbers[part][:, [index]], stamps) for name, index in there.items()}
+        label = raw[lower[_EPISODE]][part[0]] if len(parts) > 1 else ""
+        named = f"{path.name}: {_EPISODE} {label}" if label else path.name
+        episodes.append(Episode(named, columns, others, no_times))
     return episodes
 
 
+def _seconds(texts: Sequence[str]) -> np.ndarray:
+    """[S] s since the first of ISO 8601 times; raises `ValueError` or `TypeError`."""
+    times = [datetime.fromisoformat(text.strip()) for text in texts]
+    return np.array([(each - times[0]).total_seconds() for each in times])
+
+
 def _numbers(
-    path: Path, rows: Iterator[list[str]], width: int
+    path: Path,
+    rows: Iterator[list[str]],
+    width: int,
+    comma: bool = False,
+    raw: dict[int, list[str]] | None = None,
 ) -> tuple[np.ndarray, dict[int, str]]:
-    """Numbers [S, W] of rows, NaN for empty fields, and the first text of columns that have one."""
+    """Numbers [S, W] of rows up to an empty one, NaN for empty fields; the first text of each
+    column that has one. ``raw`` gets the texts of its columns."""
     texts: dict[int, str] = {}
     found: list[np.ndarray] = []
     for number, row in enumerate(rows, start=1):
@@ -107,29 +150,78 @@ def _numbers(
                 f"{path}: row {number} must have {width} fields, found {len(row)}"
             )
         check_count(str(path), len(found) * width)
-        found.append(_row(row, number, texts))
+        found.append(_row(row, number, texts, comma))
+        for index, each in (raw or {}).items():
+            each.append(row[index])
     if not found:
         raise InvalidInputError(f"{path}: must have rows of numbers, found none")
     return np.stack(found), texts
 
 
-def _row(row: list[str], number: int, texts: dict[int, str]) -> np.ndarray:
+def _row(row: list[str], number: int, texts: dict[int, str], comma: bool) -> np.ndarray:
     try:
         return np.array(list(map(float, row)))
     except ValueError:
         numbers = np.full(len(row), np.nan)
         for index, each in enumerate(row):
             try:
-                numbers[index] = float(each) if each.strip() else np.nan
+                text = each.replace(",", ".") if comma else each
+                numbers[index] = float(text) if text.strip() else np.nan
             except ValueError:
                 texts.setdefault(index, f"{each[:30]!r} in row {number}")
         return numbers
+
+
+def _nexus(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float | None]:
+    """The trial of an export of Vicon Nexus, and its frames a second."""
+    columns: dict[str, Column] = {}
+    others: dict[str, str] = {}
+    rates: set[float] = set()
+    for kind in rows:
+        if not any(kind):
+            continue
+        head = [next(rows, []) for _ in range(4)]
+        table = list(iter(lambda: next(rows, []), []))
+        (rate_text, *_), names, axes, units = (each or [""] for each in head)
+        if kind[0] not in _NEXUS[:2]:
+            others[kind[0]] = "of Nexus, beside trajectories and segments"
+            continue
+        width = len(axes)
+        try:
+            rate = float(rate_text)
+        except ValueError:
+            rate = np.nan
+        if not rate > 0.0 or axes[:2] != ["Frame", "Sub Frame"] or width > _MOST_COLUMNS:
+            raise InvalidInputError(
+                f"{path}: {kind[0]} must have lines of a rate, names, axes after Frame and Sub "
+                "Frame, and units"
+            )
+        numbers, texts = _numbers(path, iter(table), width)
+        rates.add(rate)
+        places: dict[str, list[int]] = {}
+        name = ""
+        for index in range(2, width):
+            name = names[index].strip() if index < len(names) and names[index].strip() else name
+            part = "rotation" if axes[index].startswith("R") else "position"
+            places.setdefault(f"{name}.{part}", []).append(index)
+        for name, indices in places.items():
+            text = next((texts[index] for index in indices if index in texts), None)
+            found = {units[index].strip() if index < len(units) else "" for index in indices}
+            if text is not None or len(indices) != 3 or not found <= set(_NEXUS_UNITS):
+                others[name] = text or f"{len(indices)} numbers in {', '.join(sorted(found))}"
+                continue
+            scale = _NEXUS_UNITS[found.pop()]
+            columns[name] = Column(scale * numbers[:, indices], numbers[:, 0] / rate)
+    return [Episode(path.name, columns, others)], rates.pop() if len(rates) == 1 else None
 
 
 def _motive(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float | None]:
     """The take of a Motive export, and its frames a second."""
     first = next(rows)
     properties = dict(zip(first[::2], first[1::2], strict=False))
+    space = properties.get("Coordinate Space", "Global")
+    if space != "Global":
+        raise InvalidInputError(f"{path}: Coordinate Space must be Global, found {space[:30]!r}")
     unit = properties.get("Length Units", "Meters")
     if unit not in _UNITS:
         raise InvalidInputError(
@@ -163,8 +255,8 @@ def _motive(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float
     columns, others = {}, {}
     for name, indices in places.items():
         text = next((texts[index] for index in indices if index in texts), None)
-        if text is not None:
-            others[name] = text
+        if text is not None or len(indices) > 4:
+            others[name] = text or "of several bodies of one name"
             continue
         scale = _UNITS[unit] if name.endswith(".position") else 1.0
         columns[name] = Column(scale * numbers[:, indices], numbers[:, 1])

@@ -39,6 +39,9 @@ _SETTINGS: dict[str, str | bool | int | float | list[str]] = {
 }
 _OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 """Features of every dataset, which are no observations."""
+_CLOCKS = ("timestamp", "frame_index")
+_CLOCK_STEP = 1e-6
+"""s, to which stamps in single precision are rounded."""
 _NUMBERS = ("float16", "float32", "float64", "bool", "int8", "int16", "int32", "int64", "uint8")
 
 
@@ -58,7 +61,8 @@ def read_lerobot(source: Path) -> Recording:
         raise InvalidInputError(f"{source / _INFO}: fps must be above 0, found {fps}")
     widths, others = _features(info)
     paths = sorted((source / "data").glob("*/*.parquet"))
-    needed = {"episode_index": 1, "index": 1, **widths}
+    clocks = [name for name in _CLOCKS if name in info.inner("features").content]
+    needed = {"episode_index": 1, "index": 1, **dict.fromkeys(clocks, 1), **widths}
     rows = [_rows(each, needed) for each in paths]
     frames, total = sum(rows), info.count("total_frames", 0)
     if frames != total or not paths:
@@ -73,13 +77,22 @@ def read_lerobot(source: Path) -> Recording:
     columns = {name: values[order] for name, values in columns.items()}
     index = columns.pop("episode_index")[:, 0]
     columns.pop("index")
+    stamps = None
+    if clocks:
+        stamps = columns["timestamp"] if "timestamp" in clocks else columns["frame_index"] / fps
+        stamps = _CLOCK_STEP * np.round(stamps[:, 0] / _CLOCK_STEP)
+    for name in clocks:
+        columns.pop(name)
     starts = np.flatnonzero(np.diff(index, prepend=np.nan))
     return Recording(
         str(source),
         tuple(
             Episode(
                 f"episode {index[rows[0]]:g}",
-                {name: Column(values[rows]) for name, values in columns.items()},
+                {
+                    name: Column(values[rows], None if stamps is None else stamps[rows])
+                    for name, values in columns.items()
+                },
                 others,
             )
             for rows in np.split(np.arange(frames), starts[1:])

@@ -33,7 +33,8 @@ class Entries:
             first = parts[0]
             if any(not _same_times(each, first) for each in parts[1:]):
                 raise InvalidInputError(f"{self.where}: columns must have the same times")
-            found = Column(np.concatenate([each.values for each in parts], axis=1), first.stamps)
+            values = np.concatenate([each.values for each in parts], axis=1)
+            found = Column(values, first.stamps, first.frame)
         width = found.values.shape[1]
         if widths and width not in widths:
             wanted = " or ".join(map(str, widths))
@@ -43,7 +44,7 @@ class Entries:
                 raise InvalidInputError(
                     f"{self.where}: {name} must be 1 or {width} numbers, found {len(each)}"
                 )
-        return Column(found.values * self.scale + self.offset, found.stamps)
+        return Column(found.values * self.scale + self.offset, found.stamps, found.frame)
 
 
 def _same_times(one: Column, other: Column) -> bool:

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError
+from contactgraph.data.turns import rotations
 from contactgraph.interchange.map_entries import Entries
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import BodyMap, SceneMap, Turn
 
 STATE = ("position", "velocity", "orientation", "angular_velocity")
 _TINY = 1e-6
+_DEFINED = 0.067
+"""Squared cosine of half a tilt, 150 degrees, above which a turn about an axis is too noisy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,17 +25,21 @@ class MappedEpisode:
     dt: float
 
     def times(self, column: Column) -> np.ndarray:
-        """[S] s of a column's rows."""
+        """[S] s of a column's rows: those of the map, else of the recording, else its steps."""
+        count, told = len(column.values), self.map.time
+        if told is not None:
+            times = told.read(self.episode, 1).values[:count, 0]
+            if len(times) < count:
+                raise InvalidInputError(
+                    f"{told.where}: must have a row for each of the others, {count}, found "
+                    f"{len(times)}"
+                )
+            return times
         if column.stamps is not None:
             return column.stamps
-        if self.map.time is None:
-            return np.asarray(self.dt * np.arange(len(column.values)))
-        times = self.map.time.read(self.episode, 1).values[: len(column.values), 0]
-        if len(times) < len(column.values):
-            raise InvalidInputError(
-                f"{self.map.time.where}: must have a row for each of the others"
-            )
-        return times
+        if self.episode.no_times:
+            raise InvalidInputError(self.episode.no_times)
+        return np.asarray(self.dt * np.arange(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +50,8 @@ class Track:
     """[S] s."""
     values: dict[str, np.ndarray]
     """By the names of `STATE`, [S, W] each, or [1, W] constant ones."""
+    frame: str
+    """Of the positions, where the recording tells it."""
 
     @property
     def fixed(self) -> bool:
@@ -78,6 +87,8 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
     size = dimension if body.keypoints is None else body.keypoints.size
     position = body.position.read(episode, size)
     known = np.isfinite(position.values).all(axis=1)
+    if body.missing is not None:
+        known &= (position.values != body.missing).any(axis=1)
     if not known.any():
         raise InvalidInputError(f"{body.position.where}: must have numbers, found none")
     values = {"position": position.values[known]}
@@ -98,10 +109,10 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
         if entries is not None:
             values[name] = _rows(entries.read(episode, 1), known, entries.where)
     if body.position.constant is not None:
-        return Track(np.zeros(0), values)
+        return Track(np.zeros(0), values, "")
     times = mapped.times(position)[known]
     _check_times(body.position.where, times)
-    return Track(times, values)
+    return Track(times, values, position.frame)
 
 
 def _rows(column: Column, known: np.ndarray, where: str) -> np.ndarray:
@@ -138,21 +149,52 @@ def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarr
 def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
     """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known."""
     known = np.isfinite(read).all(axis=1)
-    found = np.full((len(read), 4 if dimension == 3 or read.shape[1] != 1 else 1), np.nan)
+    if not turn.euler and read.shape[1] == 1:
+        return np.where(known[:, None], read, np.nan)
     if turn.euler:
         from scipy.spatial.transform import Rotation  # slow to import
 
-        angles = Rotation.from_euler(turn.euler, read[known])
-        found[known] = np.roll(angles.as_quat(), 1, axis=1)
-    elif read.shape[1] == 4:
-        quaternion = np.roll(read[known], 1, axis=1) if turn.order == "xyzw" else read[known]
-        length = np.linalg.norm(quaternion, axis=1, keepdims=True)
-        if len(length) and not (length > _TINY).all():
-            raise InvalidInputError(f"{turn.entries.where}: quaternions must not be zero")
-        found[known] = quaternion / length
+        found = np.roll(Rotation.from_euler(turn.euler, read[known]).as_quat(), 1, axis=1)
     else:
-        found[known] = read[known]
-    if dimension == 2 and found.shape[1] == 4:
-        axis = 1 + "xyz".index(turn.axis)
-        return 2.0 * np.arctan2(found[:, axis : axis + 1], found[:, :1])
-    return found
+        found = np.roll(read[known], 1, axis=1) if turn.order == "xyzw" else read[known]
+        length = np.linalg.norm(found, axis=1, keepdims=True)
+        wrong = np.flatnonzero(~(length[:, 0] > _TINY))
+        if len(wrong):
+            row = np.flatnonzero(known)[wrong[0]]
+            raise InvalidInputError(
+                f"{turn.entries.where}: quaternions must not be zero, found one in row {row}"
+            )
+        found = found / length
+    if turn.turned_by is not None and len(found):
+        mount = rotations(turn.turned_by / np.linalg.norm(turn.turned_by))
+        found = np.roll((rotations(found) * mount.inv()).as_quat(), 1, axis=1)
+    if dimension == 2:
+        found = _turn_about(turn, found)
+    every = np.full((len(read), found.shape[1]), np.nan)
+    every[known] = found
+    return every
+
+
+def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:
+    """[S, 1] rad: the turns about an axis of the world; from the first pose on, where the body
+    lies so that its own turn about that axis is undefined."""
+    axis = 1 + "xyz".index(turn.axis)
+
+    def about(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle = 2.0 * np.arctan2(found[:, axis], found[:, 0])
+        return angle, found[:, axis] ** 2 + found[:, 0] ** 2
+
+    angle, defined = about(quaternion)
+    if len(quaternion) and defined.min() < _DEFINED:
+        first = rotations(quaternion[0])
+        since = np.roll((rotations(quaternion) * first.inv()).as_quat(), 1, axis=1)
+        angle, defined = about(since)
+        if defined.min() < _DEFINED:
+            raise InvalidInputError(
+                f"{turn.entries.where}: the turn about {turn.axis} is undefined in row "
+                f"{int(defined.argmin())}, where the body is turned over; is axis the world's "
+                "vertical?"
+            )
+        ahead = np.roll(first.as_matrix()[:, axis % 3], -axis)  # of the body's next axis
+        angle = angle + np.arctan2(ahead[1], ahead[0])
+    return angle[:, None]

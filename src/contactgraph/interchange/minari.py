@@ -40,13 +40,13 @@ def read_minari(source: Path) -> Recording:
     if (folder / "data").is_dir():
         folder = folder / "data"
     path = source if source.is_file() else folder / _FILE
+    environment = _environment(folder / _METADATA)
     if not path.exists():
         raise InvalidInputError(
             f"{source}: must be a folder of Minari with data/{_FILE} (often below "
             "~/.minari/datasets), or that file"
         )
     check_file(path, _LARGEST_FILE)
-    environment = _environment(folder / _METADATA)
     with reading(str(path)):
         if not h5py.is_hdf5(path):
             raise InvalidInputError(f"{path}: must be HDF5, or is damaged")
@@ -72,7 +72,10 @@ def _environment(path: Path) -> str:
     metadata = read_json(path)
     kind = metadata.content.get("data_format", "hdf5")
     if kind != "hdf5":
-        raise InvalidInputError(f"{path}: data_format must be hdf5, found {kind!r}")
+        raise InvalidInputError(
+            f"{path}: data_format must be hdf5, found {kind!r}; Minari itself reads it, and "
+            'records hdf5 with data_format="hdf5"'
+        )
     try:
         found = json.loads(metadata.content.get("env_spec", "{}")).get("id", "")
     except (ValueError, TypeError, AttributeError, RecursionError):
@@ -104,6 +107,13 @@ def _episode(name: str, group: UntrustedGroup) -> Episode:
     for part in _PARTS:
         if part in there:
             add(part, group, part, 0)
+    states = {len(each.values) for at, each in columns.items() if at.startswith("observations")}
+    for at, each in columns.items():
+        if at.startswith("infos/") and {len(each.values) + 1} == states:
+            # `reset` gave none: the rows are of the states from the second on.
+            columns[at] = Column(
+                np.concatenate([np.full_like(each.values[:1], np.nan), each.values])
+            )
     return Episode(name, columns, others)
 
 

@@ -28,6 +28,8 @@ class Column:
     """[S, W]; NaN where nothing was measured."""
     stamps: np.ndarray | None = None
     """[S] s. None: those of the episode, or its steps."""
+    frame: str = ""
+    """Of the coordinates, where the format tells it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,8 @@ class Episode:
     columns: dict[str, Column]
     others: dict[str, str] = field(default_factory=dict)
     """Columns that cannot be read as numbers, and what they hold."""
+    no_times: str = ""
+    """Why rows have no times, where they should."""
 
     def column(self, reference: str) -> Column:
         """The columns that ``name``, ``name[i]`` or ``name[start:stop]`` refers to.
@@ -61,7 +65,7 @@ class Episode:
         stop = int(sliced["stop"]) if sliced["stop"] else start + 1
         if not start < stop <= width:
             raise InvalidInputError(f"{reference!r} must lie in {name}[0:{width}]")
-        return Column(column.values[:, start:stop], column.stamps)
+        return Column(column.values[:, start:stop], column.stamps, column.frame)
 
 
 @dataclass(frozen=True, eq=False)

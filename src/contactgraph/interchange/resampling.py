@@ -34,6 +34,11 @@ def even_times(
     """
     begin = max(each[0] for each in (*bodies, *controls))
     end = min(each[-1] for each in bodies)
+    if begin > end:
+        spans = ", ".join(f"{each[0]:.6g} to {each[-1]:.6g}" for each in (*bodies, *controls))
+        raise InvalidInputError(
+            f"the times of bodies and controls do not overlap, {spans} s: they must be by one clock"
+        )
     count = np.floor((end - begin) / dt + _EVEN) + 1.0
     if count * len(bodies) > LARGEST:
         raise InvalidInputError(
@@ -60,7 +65,7 @@ def interpolated_turns(at: np.ndarray, stamps: np.ndarray, turns: np.ndarray) ->
         return np.full((len(at), turns.shape[1]), np.nan)
     stamps, turns = stamps[known], turns[known]
     if turns.shape[1] == 1:
-        return interpolated(at, stamps, turns)
+        return interpolated(at, stamps, continued(turns))
     from scipy.spatial.transform import Slerp  # slow to import
 
     found = Slerp(stamps, rotations(turns))(np.clip(at, stamps[0], stamps[-1]))

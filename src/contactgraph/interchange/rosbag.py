@@ -4,9 +4,10 @@ Only types that ship with the library `rosbags` are read. Definitions in a file 
 because `rosbags` makes them into Python code.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,49 +29,169 @@ _LARGEST_CHUNK = 2**30
 _DEEPEST = 6
 _WIDEST = 4096
 """Numbers of a message's field, beyond which they are an image or a scan."""
+_LONGEST = 64
+"""Items of a list of messages, beyond which they are no bodies."""
 _METADATA = "metadata.yaml"
+_MAGIC = b"\x89MCAP0\r\n"
+_SET_BACK = 3
+"""Messages in a row, and periods, by which times must go back to be those of a clock set back."""
 
-Rows = dict[str, tuple[list[int], list[np.ndarray]]]
-"""By column, its stamps, ns, and its rows."""
+
+class Part(NamedTuple):
+    """Numbers in a message."""
+
+    name: str
+    values: np.ndarray
+    header: tuple[str, int] | None = None
+    """Frame, and time, ns, of the innermost header. None: there is none."""
+    labels: tuple[str, ...] = ()
+    """Names of the numbers, if they have some."""
+
+
+class Row(NamedTuple):
+    """Numbers of a column."""
+
+    order: int
+    """Of the message in the recording."""
+    recorded: int
+    """ns, on the recorder's clock."""
+    part: Part
+
+    @property
+    def frame(self) -> str:
+        """Of the coordinates; empty: not told."""
+        return "" if self.part.header is None else self.part.header[0]
 
 
 def read_rosbag(source: Path) -> Recording:
     """The recording in an MCAP file, or in a folder.
 
     A folder with ``metadata.yaml`` is one episode; in another folder each file is one. The fields
-    of messages are columns ``TOPIC.field``, and points and quaternions one each. The time of a row
-    is that of the message's header, else that of its recording.
+    of messages are columns ``TOPIC.field``, and points and quaternions one each. Transforms are
+    named by their child's frame, items of other lists by their index, and numbers that belong to
+    names, such as those of joints, by these. A column in several frames is one for each,
+    ``COLUMN@FRAME``. The time of a row is that of the message's header, else that of its recording.
+    Where times are set back, an episode ends.
     """
     paths = files_of(source, (".mcap",))
     together = source.is_dir() and (source / _METADATA).exists()
-    episodes = []
+    episodes: list[Episode] = []
     for group in [paths] if together else [[each] for each in paths]:
-        rows: Rows = {}
+        rows: dict[str, list[Row]] = defaultdict(list)
         others: dict[str, str] = {}
         count = 0
         for path in group:
             check_file(path, _LARGEST_FILE)
+            _check_profile(path)
             with reading(str(path)):
-                for name, stamp, values in _fields(path, others):
-                    count += values.size + 1
+                for recorded, part in _parts(path, others):
+                    count += part.values.size + 1
                     check_count(str(source), count)
-                    stamps, found = rows.setdefault(name, ([], []))
-                    stamps.append(stamp)
-                    found.append(values)
-        begin = min((min(stamps) for stamps, _ in rows.values()), default=0)
-        columns = {}
-        for name, (stamps, found) in rows.items():
-            if len({each.size for each in found}) > 1:
-                others[name] = "numbers whose count changes"
-                continue
-            times, first = np.unique([stamp - begin for stamp in stamps], return_index=True)
-            columns[name] = Column(np.stack(found)[first], 1e-9 * times)
-        episodes.append(Episode((source if together else group[0]).name, columns, others))
+                    rows[part.name].append(Row(count, recorded, part))
+        name = (source if together else group[0]).name
+        episodes += _episodes(name, _by_frame(_by_label(rows, others), others), others)
     return Recording(str(source), tuple(episodes))
 
 
-def _fields(path: Path, others: dict[str, str]) -> Iterator[tuple[str, int, np.ndarray]]:
-    """Column, time [ns] and numbers of every field of every message."""
+def _check_profile(path: Path) -> None:
+    """Refuses a sound MCAP file that is not of ROS 2."""
+    with path.open("rb") as file:
+        head = file.read(len(_MAGIC) + 13)
+        size = int.from_bytes(head[-4:], "little")
+        profile = file.read(min(size, 64)).decode("utf-8", "replace")
+    if head.startswith(_MAGIC) and profile != "ros2":
+        kind = (
+            f"has the profile {profile!r}" if profile else "has no profile, as of JSON or Protobuf"
+        )
+        raise InvalidInputError(
+            f"{path}: must be a recording of ROS 2, but it {kind}; write its numbers as CSV instead"
+        )
+
+
+def _by_label(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, list[Row]]:
+    """Numbers with names: a column for each, and all of them in the order of the first message."""
+    found: dict[str, list[Row]] = defaultdict(list)
+    for name, each in rows.items():
+        labels = each[0].part.labels
+        for row in each:
+            part = row.part
+            by_label = dict(zip(part.labels, part.values, strict=True)) if part.labels else {}
+            for label, number in by_label.items():
+                single = part._replace(values=np.array([number]))
+                found[f"{name}.{label}"].append(row._replace(part=single))
+            if sorted(part.labels) != sorted(labels):
+                others[name] = "numbers of several sets of names"
+            elif labels:
+                ordered = np.array([by_label[label] for label in labels])
+                row = row._replace(part=part._replace(values=ordered))
+            found[name].append(row)
+        if name in others:
+            found.pop(name)
+    return found
+
+
+def _by_frame(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, list[Row]]:
+    """A column for each frame where there are several."""
+    found = {}
+    for name, each in rows.items():
+        frames = sorted({row.frame for row in each})
+        if len(frames) == 1:
+            found[name] = each
+            continue
+        parts = {f"{name}@{frame}": [row for row in each if row.frame == frame] for frame in frames}
+        found |= parts
+        others[name] = f"numbers in several frames: {', '.join(parts)}"
+    return found
+
+
+def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> list[Episode]:
+    """The parts of a recording in which no clock is set back."""
+    stamps = {column: _stamps(each) for column, each in rows.items()}
+    cuts = sorted(
+        {each[at].order for column, each in rows.items() for at in _set_back(stamps[column])}
+    )
+    begin = min((int(each.min()) for each in stamps.values()), default=0)
+    episodes = []
+    for index in range(len(cuts) + 1):
+        columns = {}
+        for column, each in rows.items():
+            mine = np.searchsorted(cuts, [row.order for row in each], side="right") == index
+            values = [row.part.values for row, own in zip(each, mine, strict=True) if own]
+            if len({one.size for one in values}) > 1:
+                others[column] = "numbers whose count changes"
+            elif values:
+                times, first = np.unique(stamps[column][mine] - begin, return_index=True)
+                columns[column] = Column(np.stack(values)[first], 1e-9 * times, each[0].frame)
+        of = f", part {index + 1} of {len(cuts) + 1}, between which a clock was set back"
+        episodes.append(Episode(name + (of if cuts else ""), columns, others))
+    return episodes
+
+
+def _stamps(rows: list[Row]) -> np.ndarray:
+    """[S] ns: of headers, unless they are not set."""
+    headers = [None if row.part.header is None else row.part.header[1] for row in rows]
+    if None in headers or not any(headers):
+        return np.array([row.recorded for row in rows])
+    return np.array(headers)
+
+
+def _set_back(stamps: np.ndarray) -> list[int]:
+    """The first message after each time that a clock was set back; single ones are only late."""
+    if len(stamps) <= _SET_BACK or np.all(np.diff(stamps) >= 0):
+        return []
+    period = float(np.median(np.abs(np.diff(stamps))))
+    found, newest, late = [], stamps[0], 0
+    for index, stamp in enumerate(stamps):
+        late = late + 1 if stamp < newest - _SET_BACK * period else 0
+        newest = max(newest, stamp)
+        if late == _SET_BACK:
+            found.append(index - late + 1)
+            newest, late = stamp, 0
+    return found
+
+
+def _parts(path: Path, others: dict[str, str]) -> Iterator[tuple[int, Part]]:
+    """Time of recording, ns, and every part of every message, in the order of recording."""
     try:
         from rosbags.rosbag2 import Reader, storage_mcap
         from rosbags.typesys import Stores, get_typestore
@@ -88,16 +209,19 @@ def _fields(path: Path, others: dict[str, str]) -> Iterator[tuple[str, int, np.n
         with Reader(path) as reader:
             known = [each for each in reader.connections if each.msgtype in store.fielddefs]
             for each in reader.connections:
-                if each.msgtype not in store.fielddefs:
-                    others[each.topic] = f"messages of the unknown type {each.msgtype}"
-            for connection, stamp, content in reader.messages(connections=known):
+                unknown = each.msgtype not in store.fielddefs
+                what = f"messages of the unknown type {each.msgtype}" if unknown else "no numbers"
+                others[each.topic] = what
+            # `Reader.messages` would sort by time, which hides that a clock was set back.
+            storage: Any = reader.storage
+            for connection, stamp, content in storage.messages_scan(known):
                 message = store.deserialize_cdr(content, connection.msgtype)
-                time = _stamp(message) or stamp
-                for name, values in _flattened(connection.topic, message, 0):
-                    if values.size <= _WIDEST:
-                        yield name, time, values
+                for part in _flattened(connection.topic, message, None, 0):
+                    if part.values.size <= _WIDEST:
+                        others.pop(connection.topic, None)
+                        yield stamp, part
                     else:
-                        others[name] = f"{values.size} numbers"
+                        others[part.name] = f"{part.values.size} numbers"
     finally:
         storage_mcap.DECOMPRESSORS.update(unbounded)
 
@@ -117,35 +241,41 @@ def _bounded(zstd: Any) -> dict[str, Callable[[bytes, int], bytes]]:
     }
 
 
-def _stamp(message: Any) -> int:
-    """Time of a message's header, ns; 0 where it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+def _header(message: Any) -> tuple[str, int] | None:
+    """The frame and the time, ns, of a message's header."""
+    header = getattr(message, "header", None)
+    stamp = getattr(header, "stamp", None)
+    if stamp is None:
+        return None
+    return getattr(header, "frame_id", "").strip("/"), stamp.sec * 10**9 + stamp.nanosec
 
 
-def _flattened(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Names and numbers of a message's fields.
-
-    A part that has numbers only, such as a point, is one. Transforms have their child frame's name.
-    """
+def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int) -> Iterator[Part]:
+    """The parts of a message; one that has numbers only, such as a point, is one."""
     fields = getattr(value, "__dataclass_fields__", None)
     if depth > _DEEPEST:
         return
     if fields is None:
         if isinstance(value, bool | int | float):
-            yield name, np.array([float(value)])
+            yield Part(name, np.array([float(value)]), header)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-            yield name, value.astype(np.float64).ravel()
+            yield Part(name, value.astype(np.float64).ravel(), header)
         elif isinstance(value, list):
-            for each in value:
-                child = getattr(each, "child_frame_id", "")
-                if child:
-                    yield from _flattened(f"{name}.{child}", each, depth + 1)
+            for index, each in enumerate(value[:_LONGEST]):
+                child = getattr(each, "child_frame_id", "").strip("/")
+                at = f"{name}.{child}" if child else f"{name}[{index}]"
+                yield from _flattened(at, each, header, depth + 1)
         return
+    header = _header(value) or header
     parts = {each: getattr(value, each) for each in fields if not each.startswith("__")}
     if depth and all(isinstance(each, int | float) for each in parts.values()):
-        yield name, np.array([float(each) for each in parts.values()])
+        yield Part(name, np.array([float(each) for each in parts.values()]), header)
         return
-    for each, part in parts.items():
-        if each != "header":
-            yield from _flattened(f"{name}.{each}", part, depth + 1)
+    labels = parts.get("name")
+    texts = isinstance(labels, list) and all(isinstance(each, str) for each in labels)
+    named = tuple(labels) if isinstance(labels, list) and texts else ()
+    for each, inner in parts.items():
+        if named and isinstance(inner, np.ndarray) and len(inner) == len(named):
+            yield Part(f"{name}.{each}", inner.astype(np.float64), header, named)
+        elif each != "header":
+            yield from _flattened(f"{name}.{each}", inner, header, depth + 1)

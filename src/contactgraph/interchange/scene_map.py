@@ -37,6 +37,9 @@ class Turn:
     """SciPy's notation."""
     axis: str = "z"
     """About which a quaternion turns a body of the plane."""
+    turned_by: np.ndarray | None = None
+    """[4] quaternion (w, x, y, z) by which what is tracked, such as a tag, is turned in the body's
+    frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,13 @@ class BodyMap:
     """None: backward differences of the positions."""
     angular_velocity: Entries | None = None
     relative_to: str | None = None
+    """The body to whose position this one's is added."""
+    in_frame_of: str | None = None
+    """The body in whose frame, which turns with it, this one's pose is recorded."""
+    missing: float | None = None
+    """All numbers of a position that was not measured."""
+    max_speed: float | None = None
+    """m/s that the body cannot have."""
     reference: np.ndarray | None = None
     """[D] m: the point of the body's frame that becomes the node's position."""
     actuated: bool = False
@@ -66,6 +76,11 @@ class BodyMap:
     polygons: tuple[np.ndarray, ...] = ()
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     """``mass``, ``radius``, ``size``, ``anchor`` and ``reach`` of `contactgraph.data.Scene`."""
+
+    @property
+    def base(self) -> str | None:
+        """The body from which this one's position counts."""
+        return self.relative_to if self.in_frame_of is None else self.in_frame_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,13 +196,18 @@ def _check(found: SceneMap) -> None:
                 f"{found.where}: {body.name}: bounds must have shape (2, {found.dimension}), "
                 f"found {body.bounds.shape}"
             )
-        if body.relative_to is not None and (
-            body.relative_to not in bodies or bodies[body.relative_to].relative_to is not None
-        ):
+        base = body.base
+        if base is not None and (base not in bodies or bodies[base].base is not None):
+            key = "relative_to" if body.in_frame_of is None else "in_frame_of"
             raise InvalidInputError(
-                f"{found.where}: {body.name}: relative_to must name a body in world coordinates, "
-                f"found {body.relative_to!r}"
+                f"{found.where}: {body.name}: {key} must name a body in world coordinates, "
+                f"found {base!r}"
             )
+        recorded = {"relative_to": body.relative_to, "velocity": body.velocity}
+        recorded["angular_velocity"] = body.angular_velocity
+        for key, value in recorded.items():
+            if body.in_frame_of is not None and value is not None:
+                raise InvalidInputError(f"{found.where}: {body.name}: in_frame_of excludes {key}")
     for each in found.controls:
         for name in each.bodies:
             if name not in bodies or not bodies[name].actuated:
@@ -204,8 +224,9 @@ def _check(found: SceneMap) -> None:
 
 def _body(table: JsonFields) -> BodyMap:
     own = ("name", "type", "position", "keypoints", "orientation", "velocity", "angular_velocity")
-    further = ("relative_to", "reference", "actuated", "static", "tracked", "measured_at")
-    check_keys(table, *own, *further, "bounds", "polygons", *_OF_BODY)
+    further = ("relative_to", "in_frame_of", "reference", "actuated", "static", "tracked")
+    limits = ("measured_at", "missing", "max_speed", "bounds", "polygons")
+    check_keys(table, *own, *further, *limits, *_OF_BODY)
     there = table.content
     keypoints = table.inner("keypoints") if "keypoints" in there else None
     if (keypoints is None) == ("position" not in there):
@@ -225,6 +246,9 @@ def _body(table: JsonFields) -> BodyMap:
         velocity=entries_at(table, "velocity"),
         angular_velocity=entries_at(table, "angular_velocity"),
         relative_to=table.text("relative_to") if "relative_to" in there else None,
+        in_frame_of=table.text("in_frame_of") if "in_frame_of" in there else None,
+        missing=float(table.numbers("missing", ())) if "missing" in there else None,
+        max_speed=positive_at(table, "max_speed") if "max_speed" in there else None,
         reference=table.numbers("reference", (None,)) if "reference" in there else None,
         actuated="actuated" in there and table.truth("actuated"),
         static=table.truth("static") if "static" in there else None,
@@ -237,7 +261,7 @@ def _body(table: JsonFields) -> BodyMap:
 
 
 def _turn(table: JsonFields) -> Turn | None:
-    entries = entries_at(table, "orientation", ("order", "euler", "axis"))
+    entries = entries_at(table, "orientation", ("order", "euler", "axis", "turned_by"))
     if entries is None:
         return None
     value = table.content["orientation"]
@@ -254,7 +278,11 @@ def _turn(table: JsonFields) -> Turn | None:
             raise InvalidInputError(
                 f"{entries.where}: {key} must be {' or '.join(valid[key][:3])}, found {text!r}"
             )
-    return Turn(entries, **given)
+    inner = table.inner("orientation")
+    mount = inner.numbers("turned_by", (4,)) if "turned_by" in value else None
+    if mount is not None and not mount.any():
+        raise InvalidInputError(f"{entries.where}: turned_by must not be zero")
+    return Turn(entries, **given, turned_by=mount)
 
 
 def _control(table: JsonFields) -> ControlMap:
