@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
-from contactgraph.data.turns import rotation_vectors, turned_by
+from contactgraph.data.turns import continued_angles, rotation_vectors, turned_by
 
 _UNIT_TOLERANCE = 1e-3
 """Largest error of a quaternion's length, which leaves room for 16-bit floats."""
@@ -43,8 +43,9 @@ class Trajectory:
     """[T+1, N, N] bool, symmetric: whether two nodes are tied together at a step, by a grasp, a
     joint or suction; nodes that hold each other are in contact. None: not recorded."""
     orientation: np.ndarray | None = None
-    """[T+1, N, 4] unit quaternions (w, x, y, z) in space (D = 3), else [T+1, N, 1] rad; NaN
-    throughout for a node at a step where it is not known. None: not recorded."""
+    """[T+1, N, 4] unit quaternions (w, x, y, z) in space (D = 3), else [T+1, N, 1] rad, which go on
+    without jumps of whole turns; NaN throughout for a node at a step where it is not known. None:
+    not recorded."""
     angular_velocity: np.ndarray | None = None
     """[T+1, N, 3] rad/s in the world's axes in space (D = 3), else [T+1, N, 1]; NaN throughout
     for a node at a step where it is not known. None: not recorded."""
@@ -88,6 +89,8 @@ class Trajectory:
         turning = (1, 1) if scene.dimension != 3 else (4, 3)
         self._check_turning("orientation", (*state_shape[:2], turning[0]))
         self._check_turning("angular_velocity", (*state_shape[:2], turning[1]))
+        if self.orientation is not None and turning[0] == 1:
+            self._continue_angles(self.orientation)
 
     def __repr__(self) -> str:
         optional = ("contact", "holding", "orientation", "angular_velocity", "link_positions")
@@ -182,6 +185,15 @@ class Trajectory:
                     f"{name} must be quaternions of length 1, found {value[step, node].tolist()} "
                     f"for {self.scene.node_name[node]!r} at step {step}"
                 )
+
+    def _continue_angles(self, angle: np.ndarray) -> None:
+        """Continues the angles of nodes that all lie within one turn, as those of an arctangent."""
+        with np.errstate(invalid="ignore"):
+            span = np.fmax.reduce(angle, axis=0) - np.fmin.reduce(angle, axis=0)
+        found = continued_angles(angle, self.angular_velocity, self.scene.dt)
+        if found is not angle:
+            kept = np.where(span <= 2.0 * np.pi, found, angle)
+            object.__setattr__(self, "orientation", kept)
 
     def _check_measuring(self, shape: tuple[int, ...]) -> None:
         for name, kind in (("tracked", bool), ("measured_at", np.float64)):

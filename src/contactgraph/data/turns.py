@@ -63,6 +63,25 @@ def rotation_vectors(orientation: np.ndarray) -> np.ndarray:
     return np.asarray(turn)
 
 
+def continued_angles(angle: np.ndarray, rate: np.ndarray | None, dt: float) -> np.ndarray:
+    """[T+1, ...] rad: equal angles that go on without jumps of whole turns.
+
+    Each is the one nearest to the angle before and its ``rate`` [T+1, ...] rad/s, so that bodies
+    may turn by more than half a turn in a step. NaN stays, and is passed over.
+    """
+    found = angle.copy()
+    for index in np.ndindex(angle.shape[1:]):
+        of_node = found[(slice(None), *index)]
+        known = np.flatnonzero(np.isfinite(of_node))
+        expected = np.zeros(max(len(known) - 1, 0))
+        if rate is not None:
+            speed = np.nan_to_num(rate[(slice(None), *index)])
+            expected = speed[known[1:]] * dt * np.diff(known)
+        turns = np.round((expected - np.diff(of_node[known])) / (2.0 * np.pi))
+        of_node[known[1:]] += 2.0 * np.pi * np.cumsum(turns)
+    return angle if np.array_equal(found, angle, equal_nan=True) else found
+
+
 def near_turn(turn: np.ndarray, other: np.ndarray) -> np.ndarray:
     """[..., 3] rad: of the rotation vectors that are equal to ``turn``, the nearest to another."""
     length, far = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (turn, other))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.turns import rotations
+from contactgraph.data.turns import continued_angles, rotations
 from contactgraph.interchange.recording import LARGEST
 
 _EVEN = 0.01
@@ -74,12 +74,11 @@ def interpolated_turns(at: np.ndarray, stamps: np.ndarray, turns: np.ndarray) ->
 
 def continued(turns: np.ndarray) -> np.ndarray:
     """Orientations [T+1, 1 or 4], whose angles and signs of quaternions continue without jumps."""
-    known, found = np.isfinite(turns).all(axis=1), turns.copy()
     if turns.shape[1] == 1:
-        found[known] = np.unwrap(turns[known], axis=0)
-    else:
-        agree = np.sum(turns[known][1:] * turns[known][:-1], axis=1) >= 0.0
-        found[known] *= np.cumprod([1.0, *np.where(agree, 1.0, -1.0)])[: known.sum(), None]
+        return continued_angles(turns, None, 1.0)
+    known, found = np.isfinite(turns).all(axis=1), turns.copy()
+    agree = np.sum(turns[known][1:] * turns[known][:-1], axis=1) >= 0.0
+    found[known] *= np.cumprod([1.0, *np.where(agree, 1.0, -1.0)])[: known.sum(), None]
     return found
 
 
