@@ -24,6 +24,7 @@ from contactgraph.interchange.draft import draft_map
 from contactgraph.interchange.lerobot import read_lerobot
 from contactgraph.interchange.minari import read_minari
 from contactgraph.interchange.recording import Recording
+from contactgraph.interchange.robomimic import read_robomimic
 from contactgraph.interchange.rosbag import read_rosbag
 from contactgraph.interchange.scene_map import parse_map
 
@@ -114,10 +115,12 @@ def change(content: object, rng: random.Random) -> None:
 def formats(folder: Path) -> dict[str, Damage]:
     """A good recording of each format."""
     take = recordings.motive_file(folder / "take.csv")
+    demonstrations = recordings.robomimic_file(folder / "demo.hdf5")
+    trial = recordings.nexus_file(folder / "trial.csv")
     bag = recordings.mcap_file(folder / "bag.mcap")
     plain = folder / "plain.csv"
     plain.write_text("time,hand.x,hand.y\n" + "".join(f"{t},{t / 2},1\n" for t in range(30)))
-    drafts = {path: parse_map("draft", draft_map(read_csv(path))) for path in (take, plain)}
+    drafts = {path: parse_map("draft", draft_map(read_csv(path))) for path in (take, plain, trial)}
     return {
         "minari": Damage(
             read_minari, recordings.minari_folder(folder / "minari"), read_map("fetch-push")
@@ -127,6 +130,12 @@ def formats(folder: Path) -> dict[str, Damage]:
         ),
         "csv": Damage(read_csv, plain, drafts[plain]),
         "motive": Damage(read_csv, take, drafts[take]),
+        "robomimic": Damage(
+            read_robomimic,
+            demonstrations,
+            parse_map("draft", draft_map(read_robomimic(demonstrations))),
+        ),
+        "nexus": Damage(read_csv, trial, parse_map("draft", draft_map(read_csv(trial)))),
         "rosbag": Damage(read_rosbag, bag, parse_map("draft", draft_map(read_rosbag(bag)))),
     }
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -188,3 +189,123 @@ def mcap_file(path: Path) -> Path:
             writer.write(connections[topic], 1700000000 * 10**9 + int(time * 1e9), content)
     next(folder.glob("*.mcap")).rename(path)
     return path
+
+
+def lerobot_frames(
+    folder: Path,
+    episodes: list[np.ndarray],
+    fps: int,
+    stamps: list[np.ndarray] | None = None,
+    numbers: list[int] | None = None,
+    firsts: list[int] | None = None,
+) -> Path:
+    """A dataset of states [S, W]; times, episode numbers and first indices may be others."""
+    import pyarrow as arrow
+    import pyarrow.parquet as parquet
+
+    tables, count, width = [], 0, episodes[0].shape[1]
+    for number, state in enumerate(episodes):
+        rows = len(state)
+        time = np.arange(rows) / fps if stamps is None else stamps[number]
+        first = count if firsts is None else firsts[number]
+        columns = {
+            "observation.state": arrow.array(list(state.astype(np.float32))),
+            "timestamp": time.astype(np.float32),
+            "frame_index": np.arange(rows),
+            "episode_index": np.full(rows, number if numbers is None else numbers[number]),
+            "index": first + np.arange(rows),
+        }
+        tables.append(arrow.table(columns))
+        count += rows
+    (folder / "meta").mkdir(parents=True, exist_ok=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True, exist_ok=True)
+    parquet.write_table(
+        arrow.concat_tables(tables), folder / "data" / "chunk-000" / "file-000.parquet"
+    )
+    kinds = {
+        "timestamp": "float32",
+        **dict.fromkeys(("frame_index", "episode_index", "index"), "int64"),
+    }
+    features = {name: {"dtype": kind, "shape": [1]} for name, kind in kinds.items()}
+    features["observation.state"] = {"dtype": "float32", "shape": [width]}
+    info = {"codebase_version": "v3.0", "total_episodes": len(episodes), "total_frames": count}
+    (folder / "meta" / "info.json").write_text(
+        json.dumps({**info, "fps": fps, "features": features})
+    )
+    return folder
+
+
+def nexus_file(path: Path) -> Path:
+    """A trial of Vicon: a device, a segment that turns by 90 degrees, and two markers, in mm."""
+    rows = [f"{n + 1},0,{3 * n},0,100,{1000 + 2 * n},0,50" for n in range(40)]
+    segments = [f"{n + 1},0,0,0,{90 * n / 40},{3 * n},0,100" for n in range(40)]
+    path.write_text(
+        "Devices\n1000\n,,Force\nFrame,Sub Frame,Fz\n,,N\n1,0,1\n\n"
+        "Segments\n100\n,,Box:Box,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n"
+        ",,deg,deg,deg,mm,mm,mm\n" + "\n".join(segments) + "\n\n"
+        "Trajectories\n100\n,,Box:A,,,Box:B,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n"
+        ",,mm,mm,mm,mm,mm,mm\n" + "\n".join(rows) + "\n"
+    )
+    return path
+
+
+def robomimic_file(path: Path) -> Path:
+    """Two demonstrations, numbers 10 and 2, whose object moves at 0.3 m/s."""
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        spec = {"env_name": "Lift", "env_kwargs": {"control_freq": 20}}
+        data.attrs["env_args"] = json.dumps(spec)
+        for demo in (10, 2):
+            group = data.create_group(f"demo_{demo}")
+            x = 0.015 * np.arange(13)
+            place = np.stack([x, 0 * x, 0 * x + demo], 1)
+            group["obs/object"], group["next_obs/object"] = place[:12], place[1:]
+            group["actions"] = np.ones((12, 7))
+            group["obs/agentview_image"] = np.zeros((12, 84, 84, 3), np.uint8)
+    return path
+
+
+class Ros:
+    """Messages of ROS 2, and bags of them."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store = get_typestore(Stores.LATEST)
+
+    def __call__(self, kind: str, *values: object) -> Any:
+        package, name = kind.split("/")
+        return self.store.types[f"{package}/msg/{name}"](*values)
+
+    def header(self, time: float, frame: str = "world") -> Any:
+        stamp = self("builtin_interfaces/Time", int(time // 1), round(time % 1 * 1e9))
+        return self("std_msgs/Header", stamp, frame)
+
+    def pose(self, x: float) -> Any:
+        point = self("geometry_msgs/Point", float(x), 0.0, 0.0)
+        return self(
+            "geometry_msgs/Pose", point, self("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        )
+
+    def stamped(self, time: float, x: float, frame: str = "world") -> Any:
+        return self("geometry_msgs/PoseStamped", self.header(time, frame), self.pose(x))
+
+    def transform(self, time: float, parent: str, child: str, x: float) -> Any:
+        turn = self("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        place = self("geometry_msgs/Vector3", float(x), 0.0, 0.0)
+        moved = self("geometry_msgs/Transform", place, turn)
+        return self("geometry_msgs/TransformStamped", self.header(time, parent), child, moved)
+
+    def bag(self, folder: Path, messages: list[tuple[float, str, Any]]) -> Path:
+        """Of messages with their time of recording and topic."""
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            topics: dict[str, Any] = {}
+            for time, topic, message in messages:
+                kind = message.__msgtype__
+                if topic not in topics:
+                    topics[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                content = self.store.serialize_cdr(message, kind)
+                writer.write(topics[topic], round(time * 1e9), content)
+        return folder

@@ -38,6 +38,8 @@ def test_two_hundred_damaged_files_of_each_format() -> None:
         "lerobot",
         "csv",
         "motive",
+        "robomimic",
+        "nexus",
         "rosbag",
     ]
     refused = [int(line.split(", ")[1].split()[0]) for line in lines]
@@ -46,7 +48,7 @@ def test_two_hundred_damaged_files_of_each_format() -> None:
 
 @pytest.mark.slow
 def test_two_thousand_damaged_files_of_each_format() -> None:
-    assert len(fuzz(2000, 1).splitlines()) == 5
+    assert len(fuzz(2000, 1).splitlines()) == 7
 
 
 def test_a_chunk_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = refused([*line, "--map", "pusht", "--out", out], capsys)
     assert "body[0]: position: no column 'observation.state[0:2]'; there are x[1], y[1]" in said
     said = refused(["import", "bag", str(source), "--inspect"], capsys)
-    assert "FORMAT must be one of minari, lerobot, csv, rosbag; found 'bag'" in said
+    assert "FORMAT must be one of minari, lerobot, csv, rosbag, robomimic; found 'bag'" in said
     said = refused(["import", "csv", str(tmp_path / "b"), "--inspect"], capsys)
     assert "b: does not exist" in said
     assert sorted(each.name for each in tmp_path.iterdir()) == ["a.csv"]

@@ -9,6 +9,7 @@ from tyro.conf import Positional, arg
 
 if TYPE_CHECKING:
     from contactgraph.control import LearnedCost
+    from contactgraph.data import Dataset
 
 _LAST_STEPS = 50
 """Steps whose mean is the final imitation loss: each step sees other windows."""
@@ -152,9 +153,10 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 
 def _print_dataset(path: Path) -> None:
-    from contactgraph.data import describe_file
+    from contactgraph.data import describe_file, read_trajectories
+    from contactgraph.data.motion import body_motions, jump_warning
 
-    summary = describe_file(path)
+    summary, dataset = describe_file(path), read_trajectories(path)
     nodes = [len(names) for names in summary.node_name]
     print(f"{path}: dataset, {len(summary.steps)} trajectories, {summary.size} bytes")
     kinds = " or ".join(sorted({", ".join(each) for each in summary.control_kind if each}))
@@ -169,20 +171,26 @@ def _print_dataset(path: Path) -> None:
         "control": f"{_span(summary.control_size)}{f': {kinds}' if kinds else ''}",
         **{name: f"in {sum(has)} of {len(has)} trajectories" for name, has in recorded.items()},
         "static": _span(summary.static_count),
-        **_actuation(path),
+        **_actuation(dataset),
         **{name: _text(value) for name, value in summary.metadata.items()},
     }
     for name, text in rows.items():
         print(f"  {name:<11} {text}")
+    motions = body_motions(dataset)
+    for each in motions:
+        print(f"  {each}")
+    warning = jump_warning(motions)
+    if warning is not None:
+        print(f"  {warning}")
 
 
-def _actuation(path: Path) -> dict[str, str]:
+def _actuation(dataset: "Dataset") -> dict[str, str]:
     """A row that says how the control drives each actuated type; none without a control."""
-    from contactgraph.data import Dataset, InvalidInputError, read_trajectories
+    from contactgraph.data import InvalidInputError
     from contactgraph.train.config import body_defaults
 
     try:
-        fits = body_defaults(Dataset(tuple(read_trajectories(path)))).actuation
+        fits = body_defaults(dataset).actuation
     except InvalidInputError as error:
         return {"actuation": f"unknown ({error})"}
     return {"actuation": "; ".join(f"{name}: {fit}" for name, fit in fits.items())} if fits else {}

@@ -6,7 +6,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-FORMATS = ("minari", "lerobot", "csv", "rosbag")
+FORMATS = ("minari", "lerobot", "csv", "rosbag", "robomimic")
+_SHOWN = 12
+"""Columns without a use that are named."""
 
 
 @dataclass(frozen=True)
@@ -14,7 +16,7 @@ class Import:
     """Make a dataset of a recording in another format, by a map of its columns."""
 
     format: Positional[Annotated[str, arg(metavar="FORMAT")]]
-    """minari, lerobot (version 3), csv (also an export of Motive) or rosbag (MCAP)."""
+    """minari, lerobot (version 3), csv (also of Motive or Vicon), rosbag (MCAP) or robomimic."""
     source: Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """The file or folder to read."""
     map: Annotated[
@@ -37,16 +39,17 @@ class Import:
         from contactgraph.cli.output import check_writable
         from contactgraph.data import Dataset, InvalidInputError, velocity_warning
         from contactgraph.data import write_trajectories as write
+        from contactgraph.data.motion import body_motions, jump_warning
         from contactgraph.interchange import read_map, shipped_maps, to_trajectories
         from contactgraph.interchange.csv_table import read_csv
         from contactgraph.interchange.draft import draft_map
         from contactgraph.interchange.lerobot import read_lerobot
         from contactgraph.interchange.minari import read_minari
+        from contactgraph.interchange.robomimic import read_robomimic
         from contactgraph.interchange.rosbag import read_rosbag
 
-        readers = dict(
-            zip(FORMATS, (read_minari, read_lerobot, read_csv, read_rosbag), strict=True)
-        )
+        read_all = (read_minari, read_lerobot, read_csv, read_rosbag, read_robomimic)
+        readers = dict(zip(FORMATS, read_all, strict=True))
         read = choice("FORMAT", self.format, readers)
         if not self.source.exists():
             raise InvalidInputError(f"{self.source}: does not exist")
@@ -67,11 +70,21 @@ class Import:
         if warning is not None:
             hint = "leave velocity out of the map to derive them from positions"
             print(f"warning: {warning}; {hint}", file=sys.stderr)
+        motions = body_motions(dataset)
+        warning = jump_warning(motions)
+        if warning is not None:
+            hint = "missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
+            print(f"warning: {warning} {hint}", file=sys.stderr)
         write(self.out, dataset.trajectories, dataset.metadata)
         steps = sum(each.steps for each in dataset)
         names = ", ".join(dataset.trajectories[0].scene.node_name)
         print(f"{self.out}: {len(dataset)} trajectories of {names}")
         print(f"  {steps} steps of {dataset.dt:g} s, of {len(recording.episodes)} episodes")
+        for each in motions:
+            print(f"  {each}")
+        if found.unused:
+            more = f", … ({len(found.unused)} in all)" if len(found.unused) > _SHOWN else ""
+            print(f"  not used: {', '.join(found.unused[:_SHOWN])}{more}")
         if found.left_bounds:
             print(f"  {found.left_bounds} end, or are left out, where a body leaves its bounds")
         if found.resampled:

@@ -34,6 +34,8 @@ class Conversion:
     """Episodes that had gaps or uneven stamps."""
     left_bounds: int
     """Trajectories that end, or would begin, where a body is out of its bounds."""
+    unused: tuple[str, ...]
+    """What is in the recording, and not in the map."""
 
 
 def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
@@ -52,7 +54,9 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
                     f"{scene_map.where}: the time of a step must be given, [time] dt = s; "
                     f"--inspect suggests one"
                 )
-            parts, even = _converted(MappedEpisode(episode, scene_map, dt))
+            parts, even = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
+            for each in parts:
+                _check_speeds(each, scene_map)
             kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
             raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
@@ -63,7 +67,12 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
         raise InvalidInputError(
             f"{recording.where}: no step in which all bodies are known and in their bounds"
         )
-    return Conversion(tuple(found), resampled, left)
+    there = dict.fromkeys(
+        name for each in recording.episodes for name in (*each.columns, *each.others)
+    )
+    used = set.union(*(each.used for each in recording.episodes))
+    unused = tuple(name for name in there if name not in used)
+    return Conversion(tuple(found), resampled, left, unused)
 
 
 def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
@@ -122,6 +131,18 @@ def _check_units(mapped: MappedEpisode, times: np.ndarray) -> None:
             raise InvalidInputError(
                 f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
                 f"s in {unit}: [time] columns with scale = {scale:g}"
+            )
+
+
+def _check_speeds(trajectory: Trajectory, scene_map: SceneMap) -> None:
+    """Refuses a body that is faster than it can be."""
+    for node, body in enumerate(scene_map.bodies):
+        steps = np.linalg.norm(np.diff(trajectory.position[:, node], axis=0), axis=1)
+        speed = float(steps.max()) / trajectory.scene.dt
+        if body.max_speed is not None and speed > body.max_speed:
+            raise InvalidInputError(
+                f"{body.name}: max_speed is {body.max_speed:g} m/s, found {speed:.3g} m/s at "
+                f"{trajectory.scene.dt * (int(steps.argmax()) + 1):.3g} s"
             )
 
 

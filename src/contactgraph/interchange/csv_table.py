@@ -119,7 +119,8 @@ def _plain(path: Path, rows: Iterator[list[str]], comma: bool) -> list[Episode]:
         columns = {name: Column(numbers[part][:, [index]], stamps) for name, index in there.items()}
         label = raw[lower[_EPISODE]][part[0]] if len(parts) > 1 else ""
         named = f"{path.name}: {_EPISODE} {label}" if label else path.name
-        episodes.append(Episode(named, columns, others, no_times))
+        clocks = {names[index] for index in (time, lower.get(_EPISODE)) if index is not None}
+        episodes.append(Episode(named, columns, others, no_times, clocks))
     return episodes
 
 

@@ -91,6 +91,8 @@ def _bodies(episode: Episode) -> dict[str, tuple[tuple[str, ...], str]]:
             stem = name.removesuffix("position").removesuffix("translation")
             turn = next((f"{stem}{each}" for each in _TURNS if f"{stem}{each}" in quaternions), "")
             found[match["body"]] = ((name,), turn)
+        elif width == 1 and name.lower() in ("x", "y", "z"):
+            axes.setdefault("body", {})[name.lower()] = name
         elif width == 1 and (single := _AXIS.fullmatch(name)):
             axes.setdefault(single["body"], {})[single["axis"].lower()] = name
     for body, named in axes.items():

@@ -73,17 +73,27 @@ def read_lerobot(source: Path) -> Recording:
     check_count(str(source), frames * sum(needed.values()))
     files = [_columns(each, needed, count) for each, count in zip(paths, rows, strict=True)]
     columns = {name: np.concatenate([each[name] for each in files]) for name in needed}
+    if len(np.unique(columns["index"])) != frames:
+        raise InvalidInputError(f"{source}: index must be different in all frames")
     order = np.lexsort((columns["index"][:, 0], columns["episode_index"][:, 0]))
     columns = {name: values[order] for name, values in columns.items()}
     index = columns.pop("episode_index")[:, 0]
     columns.pop("index")
-    stamps = None
-    if clocks:
-        stamps = columns["timestamp"] if "timestamp" in clocks else columns["frame_index"] / fps
-        stamps = _CLOCK_STEP * np.round(stamps[:, 0] / _CLOCK_STEP)
-    for name in clocks:
-        columns.pop(name)
-    starts = np.flatnonzero(np.diff(index, prepend=np.nan))
+    clock = {name: columns.pop(name)[:, 0] for name in clocks}
+    begins = np.diff(index, prepend=np.nan) != 0
+    if "frame_index" in clock:
+        begins |= np.diff(clock["frame_index"], prepend=np.nan) < 0
+    starts = np.flatnonzero(begins)
+    told = info.content.get("total_episodes", len(starts))
+    if told != len(starts):
+        raise InvalidInputError(
+            f"{source}: must have {told!r} episodes, as {_INFO} says, found {len(starts)}"
+        )
+    stamps = clock.get("timestamp")
+    if stamps is None and "frame_index" in clock:
+        stamps = clock["frame_index"] / fps
+    if stamps is not None:
+        stamps = _CLOCK_STEP * np.round(stamps / _CLOCK_STEP)
     return Recording(
         str(source),
         tuple(

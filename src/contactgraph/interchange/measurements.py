@@ -23,6 +23,8 @@ class MappedEpisode:
     episode: Episode
     map: SceneMap
     dt: float
+    row_dt: float | None = None
+    """s from row to row, where the format tells it and the rows have no times."""
 
     def times(self, column: Column) -> np.ndarray:
         """[S] s of a column's rows: those of the map, else of the recording, else its steps."""
@@ -39,7 +41,7 @@ class MappedEpisode:
             return column.stamps
         if self.episode.no_times:
             raise InvalidInputError(self.episode.no_times)
-        return np.asarray(self.dt * np.arange(count))
+        return np.asarray((self.row_dt or self.dt) * np.arange(count))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ episode, with observations of T + 1 states, possibly in groups, and T actions.
 
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import h5py
@@ -83,7 +84,10 @@ def _environment(path: Path) -> str:
     return found if isinstance(found, str) else ""
 
 
-def _episode(name: str, group: UntrustedGroup) -> Episode:
+def read_columns(
+    group: UntrustedGroup, parts: Iterable[str]
+) -> tuple[dict[str, Column], dict[str, str]]:
+    """The arrays of numbers in these members of a group and below; what the others hold."""
     columns: dict[str, Column] = {}
     others: dict[str, str] = {}
 
@@ -104,9 +108,14 @@ def _episode(name: str, group: UntrustedGroup) -> Episode:
             columns[at] = Column(found.reshape(len(found), width).astype(np.float64))
 
     there = group.names()
-    for part in _PARTS:
+    for part in parts:
         if part in there:
             add(part, group, part, 0)
+    return columns, others
+
+
+def _episode(name: str, group: UntrustedGroup) -> Episode:
+    columns, others = read_columns(group, _PARTS)
     states = {len(each.values) for at, each in columns.items() if at.startswith("observations")}
     for at, each in columns.items():
         if at.startswith("infos/") and {len(each.values) + 1} == states:

@@ -42,6 +42,8 @@ class Episode:
     """Columns that cannot be read as numbers, and what they hold."""
     no_times: str = ""
     """Why rows have no times, where they should."""
+    used: set[str] = field(default_factory=set)
+    """Columns that were asked for."""
 
     def column(self, reference: str) -> Column:
         """The columns that ``name``, ``name[i]`` or ``name[start:stop]`` refers to.
@@ -49,6 +51,7 @@ class Episode:
         Raises `InvalidInputError`, which lists what is there, for others.
         """
         if reference in self.columns:
+            self.used.add(reference)
             return self.columns[reference]
         sliced = _SLICE.fullmatch(reference)
         name = sliced["name"] if sliced else reference
@@ -60,6 +63,7 @@ class Episode:
             raise InvalidInputError(
                 f"no column {reference!r}; there are {', '.join(there[:_SHOWN])}{more}"
             )
+        self.used.add(name)
         column = self.columns[name]
         start, width = int(sliced["start"]), column.values.shape[1]
         stop = int(sliced["stop"]) if sliced["stop"] else start + 1

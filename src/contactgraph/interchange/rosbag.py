@@ -34,7 +34,7 @@ _LONGEST = 64
 _METADATA = "metadata.yaml"
 _MAGIC = b"\x89MCAP0\r\n"
 _SET_BACK = 3
-"""Messages in a row, and periods, by which times must go back to be those of a clock set back."""
+"""Messages in a row that are older than the newest, from which on a clock was set back."""
 
 
 class Part(NamedTuple):
@@ -79,15 +79,17 @@ def read_rosbag(source: Path) -> Recording:
     for group in [paths] if together else [[each] for each in paths]:
         rows: dict[str, list[Row]] = defaultdict(list)
         others: dict[str, str] = {}
-        count = 0
+        count = messages = 0
         for path in group:
             check_file(path, _LARGEST_FILE)
             _check_profile(path)
             with reading(str(path)):
-                for recorded, part in _parts(path, others):
-                    count += part.values.size + 1
-                    check_count(str(source), count)
-                    rows[part.name].append(Row(count, recorded, part))
+                for recorded, parts in _messages(path, others):
+                    messages += 1
+                    for part in parts:
+                        count += part.values.size + 1
+                        check_count(str(source), count)
+                        rows[part.name].append(Row(messages, recorded, part))
         name = (source if together else group[0]).name
         episodes += _episodes(name, _by_frame(_by_label(rows, others), others), others)
     return Recording(str(source), tuple(episodes))
@@ -182,7 +184,7 @@ def _set_back(stamps: np.ndarray) -> list[int]:
     period = float(np.median(np.abs(np.diff(stamps))))
     found, newest, late = [], stamps[0], 0
     for index, stamp in enumerate(stamps):
-        late = late + 1 if stamp < newest - _SET_BACK * period else 0
+        late = late + 1 if stamp < newest - 0.5 * period else 0
         newest = max(newest, stamp)
         if late == _SET_BACK:
             found.append(index - late + 1)
@@ -190,8 +192,8 @@ def _set_back(stamps: np.ndarray) -> list[int]:
     return found
 
 
-def _parts(path: Path, others: dict[str, str]) -> Iterator[tuple[int, Part]]:
-    """Time of recording, ns, and every part of every message, in the order of recording."""
+def _messages(path: Path, others: dict[str, str]) -> Iterator[tuple[int, list[Part]]]:
+    """Time of recording, ns, and the parts of every message, in the order of recording."""
     try:
         from rosbags.rosbag2 import Reader, storage_mcap
         from rosbags.typesys import Stores, get_typestore
@@ -216,12 +218,13 @@ def _parts(path: Path, others: dict[str, str]) -> Iterator[tuple[int, Part]]:
             storage: Any = reader.storage
             for connection, stamp, content in storage.messages_scan(known):
                 message = store.deserialize_cdr(content, connection.msgtype)
-                for part in _flattened(connection.topic, message, None, 0):
-                    if part.values.size <= _WIDEST:
-                        others.pop(connection.topic, None)
-                        yield stamp, part
-                    else:
-                        others[part.name] = f"{part.values.size} numbers"
+                parts = list(_flattened(connection.topic, message, None, 0))
+                wide = [part for part in parts if part.values.size > _WIDEST]
+                others.update({part.name: f"{part.values.size} numbers" for part in wide})
+                parts = [part for part in parts if part.values.size <= _WIDEST]
+                if parts:
+                    others.pop(connection.topic, None)
+                yield stamp, parts
     finally:
         storage_mcap.DECOMPRESSORS.update(unbounded)
 

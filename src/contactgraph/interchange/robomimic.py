@@ -1,0 +1,77 @@
+"""Demonstrations of robomimic and robosuite: HDF5 with a group ``data/demo_N`` for each.
+
+The layout is that of https://robomimic.github.io/docs/datasets/overview.html: observations, states
+and actions of T steps, and the observation after each step in ``next_obs``.
+"""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from contactgraph.data import InvalidInputError
+from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
+from contactgraph.interchange.minari import read_columns
+from contactgraph.interchange.recording import (
+    Column,
+    Episode,
+    Recording,
+    check_count,
+    check_file,
+)
+
+_LARGEST_FILE = 2**36
+_PARTS = ("obs", "states", "actions")
+_PREFIX = "demo_"
+
+
+def read_robomimic(source: Path) -> Recording:
+    """The demonstrations in a file; columns are ``obs/KEY``, ``states`` and ``actions``.
+
+    The time of a step is that of the control frequency in the file's description of the
+    environment. Where there is ``next_obs``, its last row follows those of ``obs``.
+    """
+    check_file(source, _LARGEST_FILE)
+    with reading(str(source)):
+        if not h5py.is_hdf5(source):
+            raise InvalidInputError(f"{source}: must be HDF5, or is damaged")
+        with h5py.File(source, "r", locking="best-effort") as file:
+            root = UntrustedGroup(str(source), file)
+            if "data" not in root.names() or not root.is_group("data"):
+                raise InvalidInputError(
+                    f"{source}: must hold a group data, as robomimic's files do"
+                )
+            data = root.child("data")
+            environment, dt = _environment(data.group.attrs.get("env_args", "{}"))
+            names = [each for each in data.names() if each.startswith(_PREFIX)]
+            if not all(each.removeprefix(_PREFIX).isdigit() for each in names):
+                raise InvalidInputError(f"{source}: must hold groups data/demo_0, data/demo_1, …")
+            count, episodes = 0, []
+            for name in sorted(names, key=lambda each: int(each.removeprefix(_PREFIX))):
+                episode = _episode(name, data.child(name))
+                count += sum(each.values.size for each in episode.columns.values())
+                check_count(str(source), count)
+                episodes.append(episode)
+    return Recording(str(source), tuple(episodes), dt, environment)
+
+
+def _episode(name: str, group: UntrustedGroup) -> Episode:
+    columns, others = read_columns(group, _PARTS)
+    after, _ = read_columns(group, ("next_obs",))
+    for at, column in columns.items():
+        following = after.get(at.replace("obs/", "next_obs/", 1)) if at.startswith("obs/") else None
+        if following is not None and following.values.shape == column.values.shape:
+            columns[at] = Column(np.concatenate([column.values, following.values[-1:]]))
+    return Episode(name, columns, others)
+
+
+def _environment(text: object) -> tuple[str, float | None]:
+    """The environment's name, and s of a step; what is not told is empty or None."""
+    try:
+        told = json.loads(text) if isinstance(text, str | bytes) else {}
+        name, rate = told.get("env_name", ""), told.get("env_kwargs", {}).get("control_freq")
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return "", None
+    known = isinstance(rate, int | float) and not isinstance(rate, bool) and 0.0 < rate < 1e6
+    return name if isinstance(name, str) else "", 1.0 / rate if known else None
