@@ -41,7 +41,7 @@ from contactgraph_franka.perception import (
     Intrinsics,
     ObjectTracker,
 )
-from contactgraph_franka.perception.camera import inverse, pose, rotation_of
+from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.perception.detector import ObjectDetector, estimate_pose
 from contactgraph_franka.perception.hand_eye import HandEye, calibrate
 from contactgraph_franka.perception.object_pose import ObjectPose
@@ -126,7 +126,7 @@ def calibration(bench: Bench) -> HandEye:
             rotation_of(bench.rng.normal(0.0, np.radians(0.05), 3)),
             bench.rng.normal(0.0, 0.3e-3, 3),
         )
-        hands.append(place @ inverse(in_hand) @ off)
+        hands.append(place @ np.linalg.inv(in_hand) @ off)
         sightings.append(found)
     return calibrate(np.array(hands), sightings, bench.tagged, LENS)
 

@@ -152,7 +152,7 @@ def _task_node(fields: JsonFields) -> TaskNode:
         actuated=fields.truth("actuated"),
         trajectories=trajectories,
         active_trajectories=active,
-        first_contact_time=float(fields.numbers("first_contact_time_s", ())) if active else None,
+        first_contact_time=fields.number("first_contact_time_s") if active else None,
     )
 
 
@@ -167,7 +167,7 @@ def _contact(fields: JsonFields, kept_nodes: tuple[str, ...]) -> LearnedContact:
             f"{fields.where}: field 'nodes' must be two of {', '.join(kept_nodes)}, "
             f"found {', '.join(nodes)}"
         )
-    weight = float(fields.numbers("weight", ()))
+    weight = fields.number("weight")
     if weight < 0.0:
         raise InvalidInputError(
             f"{fields.where}: field 'weight' must be at least 0, found {weight:g}"

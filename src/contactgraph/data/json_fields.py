@@ -64,6 +64,10 @@ class JsonFields:
             raise self._wrong(name, f"a whole number of at least {least}", value)
         return value
 
+    def number(self, name: str) -> float:
+        """A finite number."""
+        return float(self.numbers(name, ()))
+
     def names(self, name: str) -> tuple[str, ...]:
         """Different texts, at least one."""
         value = self._value(name)

@@ -56,7 +56,7 @@ def read_lerobot(source: Path) -> Recording:
             f"{source / _INFO}: codebase_version must be v3.0 or a later v3, found {version!r}; "
             "lerobot itself converts older datasets"
         )
-    fps = float(info.numbers("fps", ()))
+    fps = info.number("fps")
     if fps <= 0.0:
         raise InvalidInputError(f"{source / _INFO}: fps must be above 0, found {fps}")
     widths, others = _features(info)

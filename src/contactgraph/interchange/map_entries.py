@@ -105,7 +105,7 @@ def array_at(table: JsonFields, name: str) -> np.ndarray:
 
 def positive_at(table: JsonFields, name: str) -> float:
     """A number above 0."""
-    value = float(table.numbers(name, ()))
+    value = table.number(name)
     if value <= 0.0:
         raise InvalidInputError(f"{table.where}: {name} must be above 0, found {value}")
     return value

@@ -247,7 +247,7 @@ def _body(table: JsonFields) -> BodyMap:
         angular_velocity=entries_at(table, "angular_velocity"),
         relative_to=table.text("relative_to") if "relative_to" in there else None,
         in_frame_of=table.text("in_frame_of") if "in_frame_of" in there else None,
-        missing=float(table.numbers("missing", ())) if "missing" in there else None,
+        missing=table.number("missing") if "missing" in there else None,
         max_speed=positive_at(table, "max_speed") if "max_speed" in there else None,
         reference=table.numbers("reference", (None,)) if "reference" in there else None,
         actuated="actuated" in there and table.truth("actuated"),

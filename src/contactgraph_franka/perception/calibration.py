@@ -160,10 +160,8 @@ def read_calibration(path: str | Path) -> CameraCalibration:
     try:
         return _calibration(fields)
     except InvalidInputError as error:
-        reason = str(error)
-        raise InvalidInputError(
-            reason if reason.startswith(f"{path}") else f"{path}: {reason}"
-        ) from error
+        where = "" if str(error).startswith(f"{path}") else f"{path}: "
+        raise InvalidInputError(f"{where}{error}") from error
 
 
 def _calibration(fields: JsonFields) -> CameraCalibration:
@@ -172,28 +170,21 @@ def _calibration(fields: JsonFields) -> CameraCalibration:
         name = each.text("name")
         if name in objects:
             raise InvalidInputError(f"{each.where}: there is another object called {name!r}")
-        objects[name] = TaggedObject(
-            tuple(
-                Tag(tag.count("id", 0), _number(tag, "size"), tag.numbers("pose", (4, 4)))
-                for tag in each.each("tags")
-            )
-        )
+        tags = [
+            Tag(tag.count("id", 0), tag.number("size"), tag.numbers("pose", (4, 4)))
+            for tag in each.each("tags")
+        ]
+        objects[name] = TaggedObject(tuple(tags))
     residuals = None
     if fields.content.get("residuals") is not None:
         inner = fields.inner("residuals")
         names = ("pixel", "position", "left_out", "left_out_worst")
-        residuals = CalibrationResiduals(
-            inner.count("poses", 1), *(_number(inner, name) for name in names)
-        )
+        residuals = CalibrationResiduals(inner.count("poses", 1), *map(inner.number, names))
     lens = fields.inner("intrinsics")
     distorted = lens.content.get("distortion") is not None
-    fx, fy, cx, cy = (_number(lens, name) for name in ("fx", "fy", "cx", "cy"))
+    fx, fy, cx, cy = map(lens.number, ("fx", "fy", "cx", "cy"))
     width, height = (lens.count(name, 1) for name in ("width", "height"))
     distortion = tuple(lens.numbers("distortion", (5,)).tolist()) if distorted else None
     intrinsics = Intrinsics(fx, fy, cx, cy, width, height, distortion)
     camera_pose = fields.numbers("camera_pose", (4, 4))
     return CameraCalibration(intrinsics, camera_pose, objects, fields.text("made"), residuals)
-
-
-def _number(fields: JsonFields, name: str) -> float:
-    return float(fields.numbers(name, ()))

@@ -3,6 +3,7 @@
 A pose is a 4x4 matrix; the camera's pose takes points of the camera's frame to the base's.
 """
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -15,6 +16,10 @@ from scipy.spatial.transform import Rotation
 from contactgraph.data import InvalidInputError
 
 _UNDISTORT_STEPS = 8  # Fixed-point iterations; lenses of depth cameras converge to 1e-9 in five
+AHEAD = 0.1
+"""s, by which a stamp may be ahead of the clock, and its offset differ from the last one."""
+_AGREE = 3
+"""Frames in a row of another offset, from which on that is the clock's."""
 _OFFSETS = 300
 """Frames whose clock offsets are kept, ten seconds at 30 Hz; clocks drift by 1 ms in minutes."""
 _ORTHOGONALITY = 1e-4  # Largest deviation of a stored matrix from a rotation
@@ -25,11 +30,6 @@ def pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, position
     return matrix
-
-
-def inverse(motion: np.ndarray) -> np.ndarray:
-    """[..., 4, 4], the inverse of poses."""
-    return np.linalg.inv(motion)
 
 
 def transform(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -179,21 +179,38 @@ class Camera(Protocol):
 
 
 class FrameClock:
-    """Maps times of a camera to ``clock``, which need not be the system's."""
+    """Maps times of a camera to ``clock``, which need not be the system's.
+
+    NaN where a frame would be more than 0.1 s ahead of the clock: its stamp is wrong.
+    """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._offsets: deque[float] = deque(maxlen=_OFFSETS)
+        self._others: list[float] = []
+        """The last offsets in a row that are far from those before."""
 
     def from_epoch(self, moment: float) -> float:
         """s, from seconds since 1970 on the system's clock."""
-        return self._clock() - (time.time() - moment)
+        return self._not_ahead(self._clock() - (time.time() - moment))
 
     def from_device(self, moment: float) -> float:
         """s, from the device's clock, to be called at the arrival of the frame.
 
         The offset is that of the fastest of the last 300 frames, so that times are late by the
-        least transfer time, some milliseconds.
+        least transfer time, some milliseconds. Three frames in a row whose offsets are far from
+        those before begin anew, since the device's clock was set.
         """
-        self._offsets.append(self._clock() - moment)
-        return moment + min(self._offsets)
+        offset = self._clock() - moment
+        near = not self._offsets or abs(offset - self._offsets[-1]) <= AHEAD
+        self._others = [] if near else [*self._others, offset]
+        if len(self._others) == _AGREE:
+            self._offsets, self._others = deque(self._others, _OFFSETS), []
+        elif near:
+            self._offsets.append(offset)
+        else:
+            return math.nan
+        return self._not_ahead(moment + min(self._offsets))
+
+    def _not_ahead(self, moment: float) -> float:
+        return moment if moment <= self._clock() + AHEAD else math.nan

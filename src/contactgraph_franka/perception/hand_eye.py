@@ -19,7 +19,6 @@ from contactgraph_franka.perception.calibration import CalibrationResiduals, Tag
 from contactgraph_franka.perception.camera import (
     Intrinsics,
     check_pose,
-    inverse,
     nearest_rotation,
     perturbed,
     pose,
@@ -62,19 +61,14 @@ def calibrate(
     hands = _checked(hand_poses, sightings)
     markers = np.stack([each.pose for each in sightings])
     marker_pose = _initial_marker(hands, markers)
-    mean = np.mean(hands @ marker_pose @ inverse(markers), axis=0)
+    mean = np.mean(hands @ marker_pose @ np.linalg.inv(markers), axis=0)
     camera = pose(nearest_rotation(mean[:3, :3]), mean[:3, 3])
     problem = _Problem(hands, sightings, marker, intrinsics)
     everything = np.arange(len(hands))
     camera, marker_pose = problem.solve(camera, marker_pose, everything)
-    left_out = np.array(
-        [
-            problem.distances(*problem.solve(camera, marker_pose, np.delete(everything, each)))[
-                each
-            ]
-            for each in everything
-        ]
-    )
+    subsets = (np.delete(everything, each) for each in everything)
+    others = [problem.solve(camera, marker_pose, subset) for subset in subsets]
+    left_out = np.array([problem.distances(*one)[each] for each, one in enumerate(others)])
     pixels = problem.reprojection_errors(camera, marker_pose, everything)
     positions = problem.distances(camera, marker_pose)
     residuals = CalibrationResiduals(
@@ -129,7 +123,7 @@ class _Problem:
         self, camera: np.ndarray, marker: np.ndarray, chosen: np.ndarray
     ) -> np.ndarray:
         """[P, 2] px: predicted less observed corners."""
-        to_camera = inverse(camera)
+        to_camera = np.linalg.inv(camera)
         return np.concatenate(
             [
                 self._intrinsics.project(
@@ -183,7 +177,7 @@ def _initial_marker(hands: np.ndarray, markers: np.ndarray) -> np.ndarray:
 def _between_pairs(poses: np.ndarray) -> np.ndarray:
     """[P, 4, 4]: from each of ``poses`` [K, 4, 4] to each later one."""
     first, second = np.triu_indices(len(poses), 1)
-    return inverse(poses[second]) @ poses[first]
+    return np.linalg.inv(poses[second]) @ poses[first]
 
 
 def _rotation_vectors(poses: np.ndarray) -> np.ndarray:

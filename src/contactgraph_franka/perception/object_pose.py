@@ -16,7 +16,6 @@ import numpy as np
 from contactgraph_franka.perception.calibration import CORNERS, Tag, TaggedObject
 from contactgraph_franka.perception.camera import (
     Intrinsics,
-    inverse,
     nearest_rotation,
     pose,
     rotation_of,
@@ -180,7 +179,7 @@ def initial_poses(tag: Tag, rays: np.ndarray) -> list[np.ndarray]:
     angle = float(np.arctan2(length, normal @ mirrored))
     turn = rotation_of(axis * (angle / length)) if length > 1e-9 else np.eye(3)
     second = pose(turn @ first[:3, :3], first[:3, 3])
-    to_tag = inverse(tag.pose)
+    to_tag = np.linalg.inv(tag.pose)
     return [first @ to_tag, second @ to_tag]
 
 

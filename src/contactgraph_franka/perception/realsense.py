@@ -1,6 +1,7 @@
 """Intel RealSense depth cameras. No other module imports pyrealsense2."""
 
 import ctypes
+import math
 import time
 from collections.abc import Callable
 from types import ModuleType
@@ -99,7 +100,7 @@ class RealSenseCamera:
         of_device = colour.frame_timestamp_domain == rs.timestamp_domain.hardware_clock
         seconds = colour.timestamp / 1000.0
         moment = self._clock.from_device(seconds) if of_device else self._clock.from_epoch(seconds)
-        return CameraFrame(grey, depth, moment)
+        return CameraFrame(grey, depth, moment) if math.isfinite(moment) else None
 
     def close(self) -> None:
         """Stops the streams."""

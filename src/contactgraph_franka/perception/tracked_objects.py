@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from contactgraph_franka.perception.camera import AHEAD
 from contactgraph_franka.perception.tracker import (
     FREE,
     GRASPED,
@@ -174,6 +175,8 @@ class TrackedObjects:
     def _estimate(self, index: int, now: float) -> Estimate:
         tracker, carried = self._trackers[index], self._carried
         for measurement in self._source.since(self._names[index], self._newest[index]):
+            if measurement.time > now + AHEAD:
+                continue
             self._newest[index] = measurement.time
             offset = measurement.position - carried.displacement(index, measurement.time)
             since = measurement.time if tracker.state is None else tracker.state.time

@@ -19,11 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contactgraph_franka.perception.camera import AHEAD
+
 _SMOOTH = 11.3
 """99 % quantile of the squared Mahalanobis distance (3 degrees of freedom): smooth motion."""
 _GATE = 16.3  # 99.9 % quantile: measurements beyond it are outliers
 _FIRST_SPEED = 0.5  # m/s, standard deviation of the initial velocity
 _FORGOTTEN_AFTER = 1.0  # s without a measurement after which the filter restarts
+_OLDER = 3
+"""Measurements in a row that are older than the newest, which then had a wrong time."""
 _LOST_ABOVE = 0.05
 """m: largest standard deviation of a tracked position. That of a block 0.07 s after an impact is
 0.02 m, which must not stop the hand that grasps it."""
@@ -98,9 +102,8 @@ class FilterState:
 
     def estimate(self, now: float, motion: Motion = FREE) -> Estimate:
         """The state predicted to ``now`` s; unchanged for an earlier time."""
-        ahead = now - self.time
-        if not ahead > 0.0:
-            ahead = 0.0
+        since = now - self.time
+        ahead = max(since, 0.0)
         p, v = self.mean[:3], self.mean[3:]
         diagonal = self.covariance.diagonal()
         cross = self.covariance.diagonal(3)
@@ -110,7 +113,7 @@ class FilterState:
             + (ahead * ahead) * diagonal[3:]
             + (motion.density * ahead * ahead * ahead / 3.0)
         )
-        tracked = ahead <= motion.lost_after and max(variance.tolist()) <= _LOST_ABOVE**2
+        tracked = -AHEAD <= since <= motion.lost_after and max(variance.tolist()) <= _LOST_ABOVE**2
         return Estimate(p + ahead * v, v.copy(), variance, self.time, tracked)
 
 
@@ -125,6 +128,8 @@ class ObjectTracker:
         self.state: FilterState | None = None
         """At the last accepted frame; None before the first."""
         self._newest = -math.inf
+        self._older = 0
+        """Measurements in a row that are older than the newest by more than a filter lasts."""
         self._outliers: list[FilterState] = []
 
     def measure(
@@ -133,10 +138,16 @@ class ObjectTracker:
         """Adds a measurement ``position`` [3] m of the exposure at ``time`` s; True if accepted.
 
         ``covariance`` [3, 3] m^2; ``motion`` is the model since the last measurement. Measurements
-        that are not newer, or not finite, are ignored.
+        that are not newer, or not finite, are ignored; but where three in a row are older by more
+        than a second, the newest had a wrong time, and the filter restarts.
         """
         finite = np.isfinite(position).all() and np.isfinite(covariance).all()
-        if not (finite and math.isfinite(time) and time > self._newest):
+        if not (finite and math.isfinite(time)):
+            return False
+        self._older = self._older + 1 if time < self._newest - _FORGOTTEN_AFTER else 0
+        if self._older == _OLDER:
+            self._newest, self._older, self.state = -math.inf, 0, None
+        if not time > self._newest:
             return False
         self._newest = time
         if self.state is None or time - self.state.time > _FORGOTTEN_AFTER:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -37,46 +39,28 @@ class Fault:
         return self.start <= cycle < self.end
 
 
-def nan_fault(start: int, end: int) -> Fault:
-    """Positions are NaN."""
-    return Fault(
-        start,
-        end,
-        lambda past, _: replace(past[-1], position=np.full_like(past[-1].position, np.nan)),
-    )
+_Maker = Callable[[int, int], Fault]
 
 
-def frozen_fault(start: int, end: int) -> Fault:
-    """The robot repeats one reading, its clock included; the host stamps it as usual."""
-    return Fault(start, end, lambda past, onset: replace(onset, time=past[-1].time))
+def _changed(change: Callable[[RobotReading], dict[str, Any]]) -> _Maker:
+    """Makes faults of fields of the newest reading."""
+    return partial(Fault, corruption=lambda past, _: replace(past[-1], **change(past[-1])))
 
 
-def jump_fault(start: int, end: int) -> Fault:
-    """The object's position is 0.1 m off on each axis."""
-    off = np.array([[0.0], [_JUMP]])
-    return Fault(start, end, lambda past, _: replace(past[-1], position=past[-1].position + off))
-
-
-def delay_fault(start: int, end: int) -> Fault:
-    """Readings come 5 control cycles late."""
-    return Fault(start, end, lambda past, _: past[max(len(past) - 1 - _DELAY, 0)])
-
-
-def lost_object_fault(start: int, end: int) -> Fault:
-    """The object is no longer tracked."""
-    return Fault(start, end, lambda past, _: replace(past[-1], tracked=np.array([True, False])))
-
-
-def lost_packet_fault(start: int, end: int) -> Fault:
-    """No reading comes from the robot, and no command reaches it."""
-    return Fault(start, end, lambda past, onset: None, drops_commands=True)
-
-
-def late_plan_fault(start: int, end: int) -> Fault:
-    """The controller has no new command."""
-    return Fault(start, end, late=True)
-
-
+nan_fault = _changed(lambda true: {"position": np.full_like(true.position, np.nan)})
+"""Positions are NaN."""
+frozen_fault = partial(Fault, corruption=lambda past, onset: replace(onset, time=past[-1].time))
+"""The robot repeats one reading, its clock included; the host stamps it as usual."""
+jump_fault = _changed(lambda true: {"position": true.position + np.array([[0.0], [_JUMP]])})
+"""The object's position is 0.1 m off on each axis."""
+delay_fault = partial(Fault, corruption=lambda past, _: past[max(len(past) - 1 - _DELAY, 0)])
+"""Readings come 5 control cycles late."""
+lost_object_fault = _changed(lambda _: {"tracked": np.array([True, False])})
+"""The object is no longer tracked."""
+lost_packet_fault = partial(Fault, corruption=lambda past, onset: None, drops_commands=True)
+"""No reading comes from the robot, and no command reaches it."""
+late_plan_fault = partial(Fault, late=True)
+"""The controller has no new command."""
 FAULTS = (
     nan_fault,
     frozen_fault,

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import Intrinsics, Tag, TaggedObject
-from contactgraph_franka.perception.camera import inverse, pose, rotation_of
+from contactgraph_franka.perception.camera import pose, rotation_of
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
 from contactgraph_franka.perception.hand_eye import calibrate
@@ -27,7 +27,7 @@ def simulated(count, rng, spread=0.35, axes=(1.0, 1.0, 1.0), noise=0.0):
     for _ in range(count):
         turn = rotation_of(rng.normal(0.0, spread, 3) * axes)
         hands.append(pose(turn, look[:3, 3] + rng.uniform(-0.15, 0.15, 3)))
-        place = inverse(CAMERA) @ hands[-1] @ MARKER_POSE
+        place = np.linalg.inv(CAMERA) @ hands[-1] @ MARKER_POSE
         shake = rotation_of(rng.normal(0.0, 2.0 * noise, 3))
         place = pose(shake @ place[:3, :3], place[:3, 3] + rng.normal(0.0, noise, 3))
         views.append(ObjectPose(place, np.eye(6), (0, 1), 1.0, 16))
@@ -44,7 +44,7 @@ def test_calibration_without_noise_is_exact():
 
 def test_residuals_measure_the_noise_that_is_averaged():
     found = calibrate(*simulated(20, np.random.default_rng(1), noise=5e-4), MARKER, LENS)
-    off = inverse(found.camera_pose) @ CAMERA
+    off = np.linalg.inv(found.camera_pose) @ CAMERA
     assert np.linalg.norm(off[:3, 3]) < 2e-3
     assert np.linalg.norm(Rotation.from_matrix(off[:3, :3]).as_rotvec()) < 2e-3
     error = found.residuals

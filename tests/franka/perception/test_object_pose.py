@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import Intrinsics, Tag, TaggedObject, single_tag
 from contactgraph_franka.perception.camera import (
-    inverse,
     nearest_rotation,
     pose,
     rotation_of,
@@ -165,7 +164,7 @@ def test_turns_and_their_vectors():
         np.testing.assert_allclose(turn, expm(np.cross(vector, np.eye(3)).T), atol=1e-12)
         np.testing.assert_allclose(nearest_rotation(3.0 * turn), turn, atol=1e-12)
     motion = pose(rotation_of(np.array([0.3, 0.2, -1.0])), np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(inverse(motion) @ motion, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(motion) @ motion, np.eye(4), atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import CameraFrame, Intrinsics
-from contactgraph_franka.perception.camera import inverse, pose, rotation_of
+from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.perception.edges import find_edges
 
 pytest.importorskip("mujoco", reason="needs pip install 'contactgraph[mujoco]'")
@@ -130,7 +130,7 @@ def errors(images, depths=None):
         if detected is None:
             found.append((np.nan, np.nan))
             continue
-        apart = inverse(place) @ CAMERA @ detected.pose
+        apart = np.linalg.inv(place) @ CAMERA @ detected.pose
         angle = np.arccos(np.clip((np.trace(apart[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
         found.append((np.linalg.norm(apart[:3, 3]), angle))
     return np.array(found)
@@ -164,7 +164,7 @@ def test_edges_agree_with_the_intrinsics(frames):
     """The half pixel, the axes, the principal point: a tag's edges, none of them by a detector."""
     across = []
     for image, place in zip(frames["exact"], POSES, strict=True):
-        to_camera = inverse(CAMERA) @ place
+        to_camera = np.linalg.inv(CAMERA) @ place
         for tag in BLOCK.tags:
             corners = tag.corners @ to_camera[:3, :3].T + to_camera[:3, 3]
             normal = to_camera[:3, :3] @ tag.pose[:3, 2]
@@ -183,7 +183,7 @@ def test_edges_agree_with_the_intrinsics(frames):
 @pytest.mark.slow
 def test_depth_is_the_distance_along_the_axis(frames):
     for depth, place in zip(frames["exact_depth"], POSES, strict=True):
-        to_camera = inverse(CAMERA) @ place
+        to_camera = np.linalg.inv(CAMERA) @ place
         tag = max(BLOCK.tags, key=lambda t: -(to_camera[:3, :3] @ t.pose[:3, 2])[2])
         centre = (to_camera @ tag.pose)[:3, 3]
         column, row = np.rint(LENS.project(centre)).astype(int)
