@@ -2,16 +2,20 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import passive_nodes
+from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 
 _MISMATCH_STEPS = 10
+_FAR = 50.0
+"""m, of a coordinate, from which on the errors of 32 bits, 4 um and more, would show."""
 _MISMATCH_LIMIT = 0.1
 _HEAVIER = 1.02
 """Ratio of the masses of one type from which they differ."""
@@ -228,3 +232,44 @@ def masses_vary(dataset: Dataset) -> bool:
             for node in np.flatnonzero(passive_nodes(scene)):
                 found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
     return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())
+
+
+def far_origin(scene: Scene, position: np.ndarray) -> np.ndarray | None:
+    """[D] m: a point near bodies at ``position`` [N, D] m that are far from the origin.
+
+    None where they are near, or where the control is a position in the world.
+    """
+    if "position" in (scene.control_kind or ()) or not np.abs(position).max() > _FAR:
+        return None
+    return np.round(position.mean(axis=0))
+
+
+def near_origin(dataset: Dataset) -> Dataset:
+    """The same trajectories, each about a point near its first state if that is far away."""
+    return replace(dataset, trajectories=tuple(map(_near, dataset)))
+
+
+def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
+    """The same scene in coordinates about ``origin`` [D] m."""
+    moved: dict[str, Any] = {
+        name: None if (value := getattr(scene, name)) is None else value - origin
+        for name in ("anchor", "goal", "reach")
+    }
+    planes = scene.planes
+    if planes is not None:
+        offset = planes[:, -1:] - planes[:, :-1] @ origin[:, None]
+        planes = np.concatenate([planes[:, :-1], offset], axis=1)
+    return replace(scene, **moved, planes=planes)
+
+
+def _near(trajectory: Trajectory) -> Trajectory:
+    origin = far_origin(trajectory.scene, trajectory.position[0])
+    if origin is None:
+        return trajectory
+    links = trajectory.link_positions
+    return replace(
+        trajectory,
+        scene=scene_about(trajectory.scene, origin),
+        position=trajectory.position - origin,
+        link_positions=None if links is None else links - origin,
+    )

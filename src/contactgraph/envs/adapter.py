@@ -13,8 +13,7 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.interchange.conversion import State, state_after
 from contactgraph.interchange.map_entries import Entries
-from contactgraph.interchange.map_scene import map_scene
-from contactgraph.interchange.measurements import MappedEpisode
+from contactgraph.interchange.measurements import MappedEpisode, map_scene
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import SceneMap, read_map
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.data.dataset import far_origin, scene_about
 from contactgraph.envs.contract import Feedback, Observation
 from contactgraph.evaluate.plan_tracking import (
     EpisodeRecord,
@@ -81,6 +82,8 @@ class MPCPolicy:
         self._state: Any = None
         self._steps: list[_Step] = []
         self._applied: np.ndarray | None = None
+        self._origin: np.ndarray | None = None
+        """[D] m, about which plans are made."""
         self._holds = False
         """Whether the scene's contacts are the pairs that hold each other."""
 
@@ -100,7 +103,7 @@ class MPCPolicy:
         self._chain = self._order = self._scene_cost.order
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._steps = scene, None, []
-        self._applied = None
+        self._applied = self._origin = None
         self._sensor = self._faults.begin(scene, seed) if self._measured else None
         self._noise_rng = self._noise.begin(seed)
 
@@ -110,8 +113,12 @@ class MPCPolicy:
         if self._state is None:
             if self._scene is None:
                 raise InvalidInputError("call reset(scene, seed) first")
+            self._begin(self._scene, observation["position"])
+            observation = self._about_origin(observation)
             nodes = self._nodes_of(self._scene, self._capacity)
             self._state = self._mpc.reset(observation, nodes, self._scene_cost)
+        else:
+            observation = self._about_origin(observation)
         contacts = self._contacts(observation)
         self._holds = "holding" in observation
         begin = time.perf_counter()
@@ -130,6 +137,19 @@ class MPCPolicy:
         self._applied = None
         return control
 
+    def _begin(self, scene: Scene, position: np.ndarray) -> None:
+        """Plans are about a point near the bodies where these are far from the origin."""
+        self._origin = far_origin(scene, position)
+        if self._origin is not None:
+            self._scene = scene_about(scene, self._origin)
+            self._scene_cost = self._cost.in_scene(self._scene)
+
+    def _about_origin(self, observation: Observation) -> Observation:
+        if self._origin is None:
+            return observation
+        moved = {name: observation[name] - self._origin for name in ("position", "goal")}
+        return {**observation, **moved}
+
     def applied(self, control: np.ndarray) -> None:
         """Receives the mean control ``[U]`` N that the task applied since the last call."""
         self._applied = np.asarray(control)
@@ -141,7 +161,10 @@ class MPCPolicy:
         feedback = plan_feedback(
             self._steps[-1].plan, self._scene.dt, self._capacity, self._scene.dimension
         )
-        return partial(feedback.within, 0)
+        origin = 0.0 if self._origin is None else self._origin
+        return lambda part, position, velocity: feedback.within(
+            0, part, position - origin, velocity
+        )
 
     @property
     def state(self) -> MPCState | None:
@@ -182,7 +205,8 @@ class MPCPolicy:
                     planned_positions(each.plan, each.position, each.velocity, dt)
                     for each in self._steps
                 ]
-            ),
+            )
+            + (0.0 if self._origin is None else self._origin),
             plan_belief=np.stack(
                 [
                     probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, with_edge_labels
+from contactgraph.data.dataset import near_origin
 from contactgraph.evaluate.baselines import (
     Baseline,
     constant_velocity,
@@ -110,7 +111,7 @@ def evaluate_open_loop(
     if sensor is None:
         sensor = default_sensor(model) if faults.exact else faults.sensor
     sensor = replace(sensor, reports_touch=labelled is dataset)
-    dataset = labelled
+    dataset = near_origin(labelled)
     known = all(each.contact is not None for each in dataset)
     if not (known or faults.exact):
         lacking = sum(each.contact is None for each in dataset)

@@ -8,12 +8,12 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.data.turns import angular_velocity, rotations
 from contactgraph.interchange import resampling
-from contactgraph.interchange.map_scene import map_scene
 from contactgraph.interchange.measurements import (
     STATE,
     MappedEpisode,
     Track,
     finite_rows,
+    map_scene,
     read_track,
 )
 from contactgraph.interchange.recording import Recording

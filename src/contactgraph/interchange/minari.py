@@ -6,7 +6,7 @@ episode, with observations of T + 1 states, possibly in groups, and T actions.
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import h5py
@@ -53,17 +53,8 @@ def read_minari(source: Path) -> Recording:
             raise InvalidInputError(f"{path}: must be HDF5, or is damaged")
         with h5py.File(path, "r", locking="best-effort") as file:
             root = UntrustedGroup(str(path), file)
-            names = [each for each in root.names() if each.startswith(_PREFIX)]
-            if not all(each.removeprefix(_PREFIX).isdigit() for each in names):
-                raise InvalidInputError(f"{path}: must hold groups episode_0, episode_1, …")
-            names.sort(key=lambda name: int(name.removeprefix(_PREFIX)))
-            count, episodes = 0, []
-            for name in names:
-                episode = _episode(name, root.child(name))
-                count += sum(each.values.size for each in episode.columns.values())
-                check_count(str(path), count)
-                episodes.append(episode)
-    return Recording(str(source), tuple(episodes), environment=environment)
+            episodes = read_episodes(root, _PREFIX, _episode)
+    return Recording(str(source), episodes, environment=environment)
 
 
 def _environment(path: Path) -> str:
@@ -82,6 +73,21 @@ def _environment(path: Path) -> str:
     except (ValueError, TypeError, AttributeError, RecursionError):
         return ""
     return found if isinstance(found, str) else ""
+
+
+def read_episodes(
+    group: UntrustedGroup, prefix: str, read: Callable[[str, UntrustedGroup], Episode]
+) -> tuple[Episode, ...]:
+    """The members ``PREFIX0``, ``PREFIX1`` and so on, by their numbers."""
+    names = [each for each in group.names() if each.startswith(prefix)]
+    if not all(each.removeprefix(prefix).isdigit() for each in names):
+        raise InvalidInputError(f"{group.where}: must hold groups {prefix}0, {prefix}1, …")
+    count, episodes = 0, []
+    for name in sorted(names, key=lambda each: int(each.removeprefix(prefix))):
+        episodes.append(read(name, group.child(name)))
+        count += sum(each.values.size for each in episodes[-1].columns.values())
+        check_count(group.where, count)
+    return tuple(episodes)
 
 
 def read_columns(

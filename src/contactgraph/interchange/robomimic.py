@@ -12,14 +12,8 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
-from contactgraph.interchange.minari import read_columns
-from contactgraph.interchange.recording import (
-    Column,
-    Episode,
-    Recording,
-    check_count,
-    check_file,
-)
+from contactgraph.interchange.minari import read_columns, read_episodes
+from contactgraph.interchange.recording import Column, Episode, Recording, check_file
 
 _LARGEST_FILE = 2**36
 _PARTS = ("obs", "states", "actions")
@@ -44,16 +38,8 @@ def read_robomimic(source: Path) -> Recording:
                 )
             data = root.child("data")
             environment, dt = _environment(data.group.attrs.get("env_args", "{}"))
-            names = [each for each in data.names() if each.startswith(_PREFIX)]
-            if not all(each.removeprefix(_PREFIX).isdigit() for each in names):
-                raise InvalidInputError(f"{source}: must hold groups data/demo_0, data/demo_1, …")
-            count, episodes = 0, []
-            for name in sorted(names, key=lambda each: int(each.removeprefix(_PREFIX))):
-                episode = _episode(name, data.child(name))
-                count += sum(each.values.size for each in episode.columns.values())
-                check_count(str(source), count)
-                episodes.append(episode)
-    return Recording(str(source), tuple(episodes), dt, environment)
+            episodes = read_episodes(data, _PREFIX, _episode)
+    return Recording(str(source), episodes, dt, environment)
 
 
 def _episode(name: str, group: UntrustedGroup) -> Episode:

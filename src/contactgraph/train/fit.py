@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from contactgraph.data.dataset import Dataset, with_edge_labels
+from contactgraph.data.dataset import Dataset, near_origin, with_edge_labels
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -75,6 +75,7 @@ def fit(
     split = batch_split(devices, config.batch_size)
     if config.use_contacts:
         check_contacts(state.model, train, "training with contacts")
+    train, held_out = near_origin(train), near_origin(held_out)
     labelled = with_edge_labels(train) if config.use_contacts else train
     turn_length = state.model.features.turn_length
     batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
