@@ -224,7 +224,7 @@ class Control:
         }
         recorded = data_simulator(self.model)
         simulator = str(trajectories[0].scene.metadata.get("simulator", recorded))
-        if recorded is not None and recorded.split()[0] != simulator.split()[0]:
+        if recorded not in (None, simulator):
             print(f"{self.model} was trained on {recorded}; these episodes are on {simulator}")
         controlled = _Controlled(
             trajectories,

@@ -1,8 +1,9 @@
 """Tasks made of other people's Gymnasium environments."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
@@ -54,7 +55,8 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
     ``success_key`` of the environment's ``info``. ``score_key`` names an entry that tells how well
     a step is, the more the better. Without ``contact`` bodies touch where their radii reach. An
     episode ends after ``max_steps`` steps, where the environment ends it, or where a body leaves
-    its bounds. The reward is the environment's own.
+    its bounds. The reward is the environment's own. The versions of ``packages`` are stored with
+    recordings, and `contactgraph control` compares them.
 
     A start in which an actuated body touches another one, or a body is out of its bounds, is
     replaced by the next one of the same random stream.
@@ -78,6 +80,7 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         score_key: str | None = None,
         contact: ContactReader | None = None,
         rest: float = 0.0,
+        packages: Sequence[str] = (),
         scene_metadata: Mapping[str, str] | None = None,
     ) -> None:
         self.environment = make_environment()
@@ -86,6 +89,9 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._cost, self._contact_reader = cost, contact
         self._tolerance, self._success_key, self._score_key = tolerance, success_key, score_key
         self._scene_metadata = {"task": name, **(scene_metadata or {})}
+        if packages:
+            versions = (f"{package} {version(package)}" for package in packages)
+            self._scene_metadata["simulator"] = ", ".join(versions)
         box = self._action_box()
         self._entries, self._scale, self._offset = self._controlled(box)
         self._check()

@@ -55,6 +55,7 @@ def fetch_task(name: str) -> AdaptedTask:
         max_steps=50,
         success_key="is_success",
         contact=watched_contact,
+        packages=("gymnasium-robotics", "mujoco"),
         scene_metadata={"environment": _ENVIRONMENTS[name]},
     )
 

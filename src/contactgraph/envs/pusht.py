@@ -20,6 +20,7 @@ CONTROL_WEIGHT = 1e-4
 """1/m^2. The control is a place on the table, and none is better than another."""
 ANGLE_WEIGHT = GOAL_WEIGHTS[0] * 0.055**2
 """1/rad^2: of a turn as of the way of points at the T's radius of gyration."""
+_PACKAGES = ("gym-pusht", "pymunk")
 _MAP = "pusht-state"
 """A pixel is a millimetre: PushT names no unit of length; so its table is half a metre wide."""
 GOAL_ANGLE = np.pi / 4.0
@@ -47,6 +48,7 @@ def pusht_pose_task() -> AdaptedTask:
         success_key="is_success",
         score_key="coverage",
         contact=watched_contact,
+        packages=_PACKAGES,
     )
 
 
@@ -65,6 +67,7 @@ def pusht_task() -> AdaptedTask:
         max_steps=MAX_STEPS,
         tolerance=TOLERANCE,
         contact=watched_contact,
+        packages=_PACKAGES,
     )
 
 
