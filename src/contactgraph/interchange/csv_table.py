@@ -53,9 +53,9 @@ def read_csv(source: Path) -> Recording:
                 first, delimiter = _first_line(file)
                 rows = csv.reader(file, delimiter=delimiter)
                 if first.lstrip('"').startswith("Format Version"):
-                    found, rate = _motive(path, rows)
+                    found, rate = _motive(path, rows, delimiter != ",")
                 elif first.strip(f'"\r\n{delimiter}') in _NEXUS:
-                    found, rate = _nexus(path, rows)
+                    found, rate = _nexus(path, rows, delimiter != ",")
                 else:
                     found, rate = _plain(path, rows, delimiter != ","), None
         except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -173,7 +173,9 @@ def _row(row: list[str], number: int, texts: dict[int, str], comma: bool) -> np.
         return numbers
 
 
-def _nexus(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float | None]:
+def _nexus(
+    path: Path, rows: Iterator[list[str]], comma: bool
+) -> tuple[list[Episode], float | None]:
     """The trial of an export of Vicon Nexus, and its frames a second."""
     columns: dict[str, Column] = {}
     others: dict[str, str] = {}
@@ -197,7 +199,7 @@ def _nexus(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float 
                 f"{path}: {kind[0]} must have lines of a rate, names, axes after Frame and Sub "
                 "Frame, and units"
             )
-        numbers, texts = _numbers(path, iter(table), width)
+        numbers, texts = _numbers(path, iter(table), width, comma)
         rates.add(rate)
         places: dict[str, list[int]] = {}
         name = ""
@@ -216,7 +218,9 @@ def _nexus(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float 
     return [Episode(path.name, columns, others)], rates.pop() if len(rates) == 1 else None
 
 
-def _motive(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float | None]:
+def _motive(
+    path: Path, rows: Iterator[list[str]], comma: bool
+) -> tuple[list[Episode], float | None]:
     """The take of a Motive export, and its frames a second."""
     first = next(rows)
     properties = dict(zip(first[::2], first[1::2], strict=False))
@@ -229,7 +233,7 @@ def _motive(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float
             f"{path}: Length Units must be {' or '.join(_UNITS)}, found {unit[:30]!r}"
         )
     try:
-        rate = float(properties.get("Export Frame Rate", "nan"))
+        rate = float(properties.get("Export Frame Rate", "nan").replace(",", "."))
     except ValueError:
         rate = np.nan
     header: list[list[str]] = []
@@ -248,7 +252,7 @@ def _motive(path: Path, rows: Iterator[list[str]]) -> tuple[list[Episode], float
     parts = next((each for each in reversed(header) if len(each) > 2 and not each[1]), None)
     if names is None or parts is None or min(map(len, (names, parts, kinds or row))) < len(row):
         raise InvalidInputError(f"{path}: must have lines of Name and of Rotation and Position")
-    numbers, texts = _numbers(path, rows, len(row))
+    numbers, texts = _numbers(path, rows, len(row), comma)
     places: dict[str, list[int]] = {}
     for index in range(2, len(row)):
         kind = f" ({kinds[index]})" if kinds and kinds[index].endswith("Marker") else ""
