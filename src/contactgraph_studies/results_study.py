@@ -28,6 +28,7 @@ from contactgraph_studies.results import (
     Quantity,
     Results,
     SeedStatistic,
+    Values,
     joined,
     moving_error,
     smallest,
@@ -49,7 +50,13 @@ def _degrees(key: str) -> Quantity:
     return Quantity(key, "degrees", _DEGREES)
 
 
-_BY_MOTION = moving_error("n_step_rmse_moving_inferred_m", _ALL_BY_MOTION)
+def _by_motion(values: Values) -> float:
+    """NaN where motion corrects no belief."""
+    error = moving_error("n_step_rmse_moving_inferred_m", _ALL_BY_MOTION)
+    return error.read(values) if values.get("infer_contacts", True) else math.nan
+
+
+_BY_MOTION = Quantity("n_step_rmse_moving_inferred_m", "cm", derived=_by_motion)
 QUANTITIES = {
     "measured_cm": (Source.model, moving_error("n_step_rmse_moving_m", _ALL)),
     "motion_cm": (Source.model, _BY_MOTION),
@@ -81,7 +88,7 @@ QUANTITIES = {
 }
 """The numbers of a row: the kind of job that measures them, and the key in its output."""
 _KEPT = {quantity.key for _, quantity in QUANTITIES.values()} | {
-    *("n_step_rmse_m", "n_step_rmse_inferred_m", "least_squares_missing"),
+    *("n_step_rmse_m", "n_step_rmse_inferred_m", "infer_contacts", "least_squares_missing"),
     *("episodes", "success_rate", "seed"),
 }
 _LEARNED = ("measured_cm", "motion_cm", "least_squares_cm", "network_cm", "_prior")

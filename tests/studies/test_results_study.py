@@ -205,6 +205,14 @@ def test_empty_cells_have_a_reason(tmp_path: Path) -> None:
     ]
 
 
+def test_a_model_that_motion_tells_nothing_has_no_error_by_motion(tmp_path: Path) -> None:
+    unknown = {"n_step_rmse_moving_inferred_m": None, "n_step_rmse_inferred_m": None}
+    for judged, text in ((True, "not finite"), (False, "-")):
+        found = {**EVALUATION, **unknown, "infer_contacts": judged}
+        result = result_of(tmp_path / text, [PASSIVE], lambda one, found=found: found)
+        assert shown(result)["billiards --passive"][1] == text
+
+
 def test_numbers_of_other_commands_are_not_shown(tmp_path: Path) -> None:
     result_of(tmp_path, [PASSIVE])
     more = Amounts((0, 1, 2), 61, 40, 20, 20, baselines=True)
