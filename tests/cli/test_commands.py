@@ -457,6 +457,10 @@ def test_info_of_a_dataset_names_what_is_recorded(
         "orientation in 1 of 2 trajectories",
         "static 1",
         "actuation hand: force, fits to 0 mm/s",
+        *(
+            f"{name}: at most 0 m/s and 0 rad/s; largest step 0 cm, to 0.05 s of trajectory 1"
+            for name in names
+        ),
     ]
 
 

@@ -235,18 +235,21 @@ def masses_vary(dataset: Dataset) -> bool:
 
 
 def far_origin(scene: Scene, position: np.ndarray) -> np.ndarray | None:
-    """[D] m: a point near bodies at ``position`` [N, D] m that are far from the origin.
+    """[D] m: a point near bodies at ``position`` [N, D] m that are all far from the origin.
 
-    None where they are near, or where the control is a position in the world.
+    None where one is near, or where the control is a position in the world.
     """
-    if "position" in (scene.control_kind or ()) or not np.abs(position).max() > _FAR:
+    nearest = np.abs(position).max(axis=1).min()
+    if "position" in (scene.control_kind or ()) or not nearest > _FAR:
         return None
     return np.round(position.mean(axis=0))
 
 
 def near_origin(dataset: Dataset) -> Dataset:
     """The same trajectories, each about a point near its first state if that is far away."""
-    return replace(dataset, trajectories=tuple(map(_near, dataset)))
+    near = tuple(map(_near, dataset))
+    unmoved = all(moved is given for moved, given in zip(near, dataset, strict=True))
+    return dataset if unmoved else replace(dataset, trajectories=near)
 
 
 def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
