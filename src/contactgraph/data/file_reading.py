@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from contactgraph.data.dataset import Dataset, Metadata
@@ -25,7 +24,7 @@ from contactgraph.data.file_layout import (
 )
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
-from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
+from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
 
 _OF_SCENE = {each.name for each in fields(Scene)}
 
@@ -115,25 +114,19 @@ def _opened(path: Path) -> Iterator[UntrustedGroup]:
         raise InvalidInputError(f"{path}: must be a file, found a folder or device")
     if not os.access(path, os.R_OK):
         raise InvalidInputError(f"{path}: may not be read by this user")
-    with reading(str(path)):
-        if not h5py.is_hdf5(path):
+    expected = "a dataset in HDF5 (docs/file-format.md), found something else or a damaged file"
+    with opened(path, expected) as root:
+        if "format" not in root.group.attrs or root.attribute("format") != FORMAT:
             raise InvalidInputError(
-                f"{path}: must be a dataset in HDF5 (docs/file-format.md), found something else "
-                "or a damaged file"
+                f"{path}: attribute 'format' must be {FORMAT!r}, as docs/file-format.md says; "
+                "this HDF5 file holds something else"
             )
-        with h5py.File(path, "r", locking="best-effort") as file:
-            root = UntrustedGroup(str(path), file)
-            if "format" not in file.attrs or root.attribute("format") != FORMAT:
-                raise InvalidInputError(
-                    f"{path}: attribute 'format' must be {FORMAT!r}, as docs/file-format.md says; "
-                    "this HDF5 file holds something else"
-                )
-            version = root.attribute("format_version")
-            if version != VERSION:
-                raise InvalidInputError(
-                    f"{path}: attribute 'format_version' must be {VERSION}, found {version!r}"
-                )
-            yield root
+        version = root.attribute("format_version")
+        if version != VERSION:
+            raise InvalidInputError(
+                f"{path}: attribute 'format_version' must be {VERSION}, found {version!r}"
+            )
+        yield root
 
 
 def _groups(root: UntrustedGroup) -> list[UntrustedGroup]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.turns import turn_between
+from contactgraph.data.turns import rotation_vectors, turn_between
 
 _ISOLATED = 10.0
 """Times the steps before and after it, and the median of those in which the body moves, from which
@@ -72,10 +72,8 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         jumps += _jumps(steps)
         if each.orientation is not None:
             turn = each.orientation[:, node]
-            if turn.shape[1] == 4:
-                between = 2.0 * np.arccos(np.clip(np.abs(np.sum(turn[1:] * turn[:-1], 1)), 0, 1))
-            else:
-                between = turn_between(turn[:-1], turn[1:])
+            turn = turn if turn.shape[1] == 1 else rotation_vectors(turn)
+            between = turn_between(turn[:-1], turn[1:])
             rate += [float(np.nanmax(between)) / dt] if np.isfinite(between).any() else []
         if each.tracked is not None:
             tracked.append(each.tracked[:, node])

@@ -158,3 +158,8 @@ def rotations(quaternion: np.ndarray) -> "Rotation":
     from scipy.spatial.transform import Rotation  # slow to import
 
     return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))
+
+
+def quaternions_of(rotation: "Rotation") -> np.ndarray:
+    """``[..., 4]`` (w, x, y, z): the inverse of `rotations`."""
+    return np.roll(rotation.as_quat(), 1, axis=-1)

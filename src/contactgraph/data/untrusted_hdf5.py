@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -40,6 +41,16 @@ def reading(where: str) -> Iterator[None]:
         raise InvalidInputError(
             f"{where}: cannot be read, the file is damaged ({reason})"
         ) from error
+
+
+@contextmanager
+def opened(path: Path, expected: str = "HDF5, or is damaged") -> Iterator["UntrustedGroup"]:
+    """The root of a file, which must be what is ``expected``."""
+    with reading(str(path)):
+        if not h5py.is_hdf5(path):
+            raise InvalidInputError(f"{path}: must be {expected}")
+        with h5py.File(path, "r", locking="best-effort") as file:
+            yield UntrustedGroup(str(path), file)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.data.turns import angular_velocity, rotations
+from contactgraph.data.turns import angular_velocity, quaternions_of, rotations
 from contactgraph.interchange import resampling
 from contactgraph.interchange.measurements import (
     STATE,
@@ -323,7 +323,7 @@ def _composed(base: np.ndarray, turn: np.ndarray) -> np.ndarray:
         return base + turn
     known = np.isfinite(turn).all(axis=1)
     found = turn.copy()
-    found[known] = np.roll((rotations(base[known]) * rotations(turn[known])).as_quat(), 1, axis=1)
+    found[known] = quaternions_of(rotations(base[known]) * rotations(turn[known]))
     return resampling.continued(found)
 
 

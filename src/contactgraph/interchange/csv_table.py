@@ -60,9 +60,8 @@ def read_csv(source: Path) -> Recording:
                     found, rate = _plain(path, rows, delimiter != ","), None
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             reason = " ".join(str(error).split())[:200]
-            raise InvalidInputError(
-                f"{path}: must be CSV in UTF-8, or is damaged ({reason})"
-            ) from (error)
+            message = f"{path}: must be CSV in UTF-8, or is damaged ({reason})"
+            raise InvalidInputError(message) from error
         count += sum(c.values.size for each in found for c in each.columns.values())
         check_count(str(source), count)
         episodes += found

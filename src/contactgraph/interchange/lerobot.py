@@ -84,10 +84,10 @@ def read_lerobot(source: Path) -> Recording:
     if "frame_index" in clock:
         begins |= np.diff(clock["frame_index"], prepend=np.nan) < 0
     starts = np.flatnonzero(begins)
-    told = info.content.get("total_episodes", len(starts))
-    if told != len(starts):
+    stated = info.content.get("total_episodes", len(starts))
+    if stated != len(starts):
         raise InvalidInputError(
-            f"{source}: must have {told!r} episodes, as {_INFO} says, found {len(starts)}"
+            f"{source}: must have {stated!r} episodes, as {_INFO} says, found {len(starts)}"
         )
     stamps = clock.get("timestamp")
     if stamps is None and "frame_index" in clock:

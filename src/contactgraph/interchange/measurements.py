@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.data.turns import rotations
+from contactgraph.data.turns import quaternions_of, rotations
 from contactgraph.interchange.map_entries import Entries
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import BodyMap, SceneMap, Turn
@@ -25,16 +25,16 @@ class MappedEpisode:
     map: SceneMap
     dt: float
     row_dt: float | None = None
-    """s from row to row, where the format tells it and the rows have no times."""
+    """s from row to row, where the format has it and the rows have no times."""
 
     def times(self, column: Column) -> np.ndarray:
         """[S] s of a column's rows: those of the map, else of the recording, else its steps."""
-        count, told = len(column.values), self.map.time
-        if told is not None:
-            times = told.read(self.episode, 1).values[:count, 0]
+        count, clock = len(column.values), self.map.time
+        if clock is not None:
+            times = clock.read(self.episode, 1).values[:count, 0]
             if len(times) < count:
                 raise InvalidInputError(
-                    f"{told.where}: must have a row for each of the others, {count}, found "
+                    f"{clock.where}: must have a row for each of the others, {count}, found "
                     f"{len(times)}"
                 )
             return times
@@ -54,7 +54,7 @@ class Track:
     values: dict[str, np.ndarray]
     """By the names of `STATE`, [S, W] each, or [1, W] constant ones."""
     frame: str
-    """Of the positions, where the recording tells it."""
+    """Of the positions, where the recording has it."""
 
     @property
     def fixed(self) -> bool:
@@ -146,7 +146,7 @@ def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarr
         return position, np.arctan2(turn[:, 1, :1], turn[:, 0, :1])
     from scipy.spatial.transform import Rotation  # slow to import
 
-    return position, np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)
+    return position, quaternions_of(Rotation.from_matrix(turn))
 
 
 def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
@@ -157,7 +157,7 @@ def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
     if turn.euler:
         from scipy.spatial.transform import Rotation  # slow to import
 
-        found = np.roll(Rotation.from_euler(turn.euler, read[known]).as_quat(), 1, axis=1)
+        found = quaternions_of(Rotation.from_euler(turn.euler, read[known]))
     else:
         found = np.roll(read[known], 1, axis=1) if turn.order == "xyzw" else read[known]
         length = np.linalg.norm(found, axis=1, keepdims=True)
@@ -170,7 +170,7 @@ def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
         found = found / length
     if turn.turned_by is not None and len(found):
         mount = rotations(turn.turned_by / np.linalg.norm(turn.turned_by))
-        found = np.roll((rotations(found) * mount.inv()).as_quat(), 1, axis=1)
+        found = quaternions_of(rotations(found) * mount.inv())
     if dimension == 2:
         found = _turn_about(turn, found)
     every = np.full((len(read), found.shape[1]), np.nan)
@@ -190,7 +190,7 @@ def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:
     angle, defined = about(quaternion)
     if len(quaternion) and defined.min() < _DEFINED:
         first = rotations(quaternion[0])
-        since = np.roll((rotations(quaternion) * first.inv()).as_quat(), 1, axis=1)
+        since = quaternions_of(rotations(quaternion) * first.inv())
         angle, defined = about(since)
         if defined.min() < _DEFINED:
             raise InvalidInputError(

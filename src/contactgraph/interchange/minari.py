@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
+from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
 from contactgraph.interchange.export_layout import MAP_FILE, ExportLayout, new_folder
 from contactgraph.interchange.recording import (
     Column,
@@ -48,12 +48,8 @@ def read_minari(source: Path) -> Recording:
             "~/.minari/datasets), or that file"
         )
     check_file(path, _LARGEST_FILE)
-    with reading(str(path)):
-        if not h5py.is_hdf5(path):
-            raise InvalidInputError(f"{path}: must be HDF5, or is damaged")
-        with h5py.File(path, "r", locking="best-effort") as file:
-            root = UntrustedGroup(str(path), file)
-            episodes = read_episodes(root, _PREFIX, _episode)
+    with opened(path) as root:
+        episodes = read_episodes(root, _PREFIX, _episode)
     return Recording(str(source), episodes, environment=environment)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.turns import continued_angles, rotations
+from contactgraph.data.turns import continued_angles, quaternions_of, rotations
 from contactgraph.interchange.recording import LARGEST
 
 _EVEN = 0.01
@@ -69,7 +69,7 @@ def interpolated_turns(at: np.ndarray, stamps: np.ndarray, turns: np.ndarray) ->
     from scipy.spatial.transform import Slerp  # slow to import
 
     found = Slerp(stamps, rotations(turns))(np.clip(at, stamps[0], stamps[-1]))
-    return np.roll(found.as_quat(), 1, axis=1)
+    return quaternions_of(found)
 
 
 def continued(turns: np.ndarray) -> np.ndarray:

@@ -7,11 +7,10 @@ and actions of T steps, and the observation after each step in ``next_obs``.
 import json
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.untrusted_hdf5 import UntrustedGroup, reading
+from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
 from contactgraph.interchange.minari import read_columns, read_episodes
 from contactgraph.interchange.recording import Column, Episode, Recording, check_file
 
@@ -27,18 +26,12 @@ def read_robomimic(source: Path) -> Recording:
     environment. Where there is ``next_obs``, its last row follows those of ``obs``.
     """
     check_file(source, _LARGEST_FILE)
-    with reading(str(source)):
-        if not h5py.is_hdf5(source):
-            raise InvalidInputError(f"{source}: must be HDF5, or is damaged")
-        with h5py.File(source, "r", locking="best-effort") as file:
-            root = UntrustedGroup(str(source), file)
-            if "data" not in root.names() or not root.is_group("data"):
-                raise InvalidInputError(
-                    f"{source}: must hold a group data, as robomimic's files do"
-                )
-            data = root.child("data")
-            environment, dt = _environment(data.group.attrs.get("env_args", "{}"))
-            episodes = read_episodes(data, _PREFIX, _episode)
+    with opened(source) as root:
+        if "data" not in root.names() or not root.is_group("data"):
+            raise InvalidInputError(f"{source}: must hold a group data, as robomimic's files do")
+        data = root.child("data")
+        environment, dt = _environment(data.group.attrs.get("env_args", "{}"))
+        episodes = read_episodes(data, _PREFIX, _episode)
     return Recording(str(source), episodes, dt, environment)
 
 
@@ -53,10 +46,10 @@ def _episode(name: str, group: UntrustedGroup) -> Episode:
 
 
 def _environment(text: object) -> tuple[str, float | None]:
-    """The environment's name, and s of a step; what is not told is empty or None."""
+    """The environment's name, and s of a step; what is unknown is empty or None."""
     try:
-        told = json.loads(text) if isinstance(text, str | bytes) else {}
-        name, rate = told.get("env_name", ""), told.get("env_kwargs", {}).get("control_freq")
+        found = json.loads(text) if isinstance(text, str | bytes) else {}
+        name, rate = found.get("env_name", ""), found.get("env_kwargs", {}).get("control_freq")
     except (ValueError, TypeError, AttributeError, RecursionError):
         return "", None
     known = isinstance(rate, int | float) and not isinstance(rate, bool) and 0.0 < rate < 1e6

@@ -59,7 +59,7 @@ class Row(NamedTuple):
 
     @property
     def frame(self) -> str:
-        """Of the coordinates; empty: not told."""
+        """Of the coordinates; empty: unknown."""
         return "" if self.part.header is None else self.part.header[0]
 
 

@@ -199,7 +199,7 @@ class FrameClock:
 
         The offset is that of the fastest of the last 300 frames, so that times are late by the
         least transfer time, some milliseconds. Three frames in a row whose offsets are far from
-        those before begin anew, since the device's clock was set.
+        those before take their place, since the device's clock was set.
         """
         offset = self._clock() - moment
         near = not self._offsets or abs(offset - self._offsets[-1]) <= AHEAD
