@@ -184,6 +184,19 @@ def test_neighbor_lists_are_allocated_for_a_scene() -> None:
     )
 
 
+@pytest.mark.parametrize("spacing", [0.3, 1.0, 3.0])
+def test_a_list_for_a_lattice_is_one_at_any_speed(spacing: float) -> None:
+    """Cells repeat, and become longer with the fastest node; none of the lattice's is fuller."""
+    nodes = nodes_of(40, 40)
+    model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
+    lattice = np.stack(np.meshgrid(np.arange(8), np.arange(5)), axis=-1).reshape(-1, 2)
+    position = jnp.asarray(spacing * lattice, jnp.float32)
+    found = allocate_neighbor_list(model, position, jnp.zeros((40, 2)), nodes).neighbor_list
+    for way in np.linspace(0.0, 0.5 * (spacing - FAR), 400, endpoint=False):
+        _, fits = listed(position, jnp.full(40, way), nodes.mask, 40, found.cell_capacity)
+        assert fits
+
+
 def test_a_bar_is_near_as_far_as_it_reaches() -> None:
     anchor = np.array([[np.nan, np.nan], [0.0, 0.0]])
     position, velocity = np.array([[0.0, 0.9], [0.5, 0.0]]), np.array([[0.0, 0.0], [0.0, 2.0]])

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.feedback import feedback_control
 
 _UNROLLED_SIZE = 6
@@ -18,13 +19,34 @@ SUMMED_SIZE = 16
 """Up to this many states a sum of products is faster inside a scan than a matrix product."""
 
 
-class ControlLimits(eqx.Module):
-    """Each control stays in ``[lower, upper]``."""
+def is_known(*values: Any) -> bool:
+    """Whether these are numbers, not arrays of a function that JAX traces."""
+    return not any(isinstance(each, jax.core.Tracer) for each in values)
 
-    lower: Float[Array, " U"]
+
+class ControlLimits(eqx.Module):
+    """Each control stays in ``[lower, upper]``; infinite where it has no limit.
+
+    Raises `InvalidInputError` unless both have one number for each control, none is NaN, and none
+    of ``lower`` is above ``upper``.
+    """
+
+    lower: Float[Array, " U"] = eqx.field(converter=jnp.asarray)
     """N"""
-    upper: Float[Array, " U"]
+    upper: Float[Array, " U"] = eqx.field(converter=jnp.asarray)
     """N"""
+
+    def __check_init__(self) -> None:
+        lower, upper = self.lower, self.upper
+        if lower.ndim != 1 or lower.shape != upper.shape:
+            raise InvalidInputError(
+                "limits must be one number for each control, lower and upper, found shapes "
+                f"{lower.shape} and {upper.shape}"
+            )
+        if is_known(lower, upper) and not np.all(np.asarray(lower) <= np.asarray(upper)):
+            raise InvalidInputError(
+                f"limits must be lower <= upper for each control, found {lower} and {upper}"
+            )
 
     def __call__(self, control: Float[Array, "*H U"]) -> Float[Array, "*H U"]:
         """The nearest allowed control."""

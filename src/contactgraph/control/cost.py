@@ -6,15 +6,20 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from contactgraph.control.box_qp import is_known
 from contactgraph.control.contact_cost import ContactCost
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
+
+_ROUNDING = 1e-5
+"""Of the entries of a positive semi-definite matrix in single precision, relative."""
 
 
 class Cost(Protocol):
@@ -25,12 +30,31 @@ class Cost(Protocol):
         ...
 
 
+def _symmetric(matrix: Any) -> Any:
+    """The symmetric part of matrices [..., n, n]; arrays of NumPy stay NumPy's."""
+    matrix = matrix if isinstance(matrix, np.ndarray) else jnp.asarray(matrix)
+    if matrix.ndim < 2 or matrix.shape[-1] != matrix.shape[-2]:
+        raise InvalidInputError(f"a weight must be a square matrix, found shape {matrix.shape}")
+    return 0.5 * (matrix + matrix.swapaxes(-1, -2))
+
+
+def _is_definite(matrix: Any) -> bool:
+    try:
+        np.linalg.cholesky(np.asarray(matrix, np.float64))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 class QuadraticCost(eqx.Module):
     """``sum_{t=0..H} (x_t - goal)^T Q_t (x_t - goal) + sum_{t=0..H-1} u_t^T R_t u_t``.
 
-    The paper's convention: no factor 1/2. ``x`` is `stack_state`'s vector, ``n = 2ND``. ``Q``
-    must be symmetric and positive semi-definite, ``R`` symmetric and positive definite. Every
-    leaf is an array, so another goal or weight does not recompile a function of it.
+    The paper's convention: no factor 1/2. ``x`` is `stack_state`'s vector, ``n = 2ND``. Of ``Q``
+    and ``R`` only the symmetric parts count. Every leaf is an array, so another goal or weight does
+    not recompile a function of it.
+
+    Raises `InvalidInputError` where a number is not finite, ``Q`` is not positive semi-definite,
+    ``R`` is not positive definite, or shapes do not fit.
 
     >>> cost = QuadraticCost(Q=jnp.eye(4), R=jnp.eye(2), goal=jnp.zeros(4))
     >>> cost
@@ -39,9 +63,9 @@ class QuadraticCost(eqx.Module):
     10.0
     """
 
-    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"]
+    Q: Float[Array, "n n"] | Float[Array, "H+1 n n"] = eqx.field(converter=_symmetric)
     """State weight, the same for all steps or one a step; 1/m^2 and s^2/m^2."""
-    R: Float[Array, "U U"] | Float[Array, "H U U"]
+    R: Float[Array, "U U"] | Float[Array, "H U U"] = eqx.field(converter=_symmetric)
     """Control weight, 1/N^2."""
     goal: Float[Array, " n"] | Float[Array, "H+1 n"]
     """Target state, m and m/s."""
@@ -59,6 +83,26 @@ class QuadraticCost(eqx.Module):
     turn_length: float = eqx.field(static=True, default=1.0)
     """m; unit of turns, where ``n = 2NG`` includes them: 1 for angles in rad and rates in rad/s.
     See `contactgraph.data.generalized_coordinates`."""
+
+    def __check_init__(self) -> None:
+        size = np.shape(self.goal)[-1]
+        if self.Q.shape[-2:] != (size, size) or self.R.shape[-2] != self.R.shape[-1]:
+            raise InvalidInputError(
+                f"Q [{size}, {size}] and R [U, U] must fit the goal [{size}], found {self!r}"
+            )
+        if not is_known(*jax.tree.leaves(self)):
+            return
+        Q, weight = np.asarray(self.Q, np.float64), np.asarray(self.terminal_weight)
+        for name, value in (("Q", Q), ("R", self.R), ("goal", self.goal)):
+            if not np.all(np.isfinite(value)):
+                raise InvalidInputError(f"{name} must be finite, found {np.asarray(value)}")
+        if not np.all(weight >= 0.0):
+            raise InvalidInputError(f"terminal_weight must be at least 0, found {weight}")
+        slack = _ROUNDING * np.max(np.abs(Q), initial=np.finfo(np.float32).tiny)
+        if not _is_definite(Q + slack * np.eye(size)):
+            raise InvalidInputError("Q must be positive semi-definite: this cost has no minimum")
+        if not _is_definite(self.R):
+            raise InvalidInputError("R must be positive definite: each control must cost something")
 
     def __repr__(self) -> str:
         shapes = (f"{name}{list(np.shape(getattr(self, name)))}" for name in ("Q", "R", "goal"))
@@ -107,8 +151,11 @@ class QuadraticCost(eqx.Module):
         turn.
 
         ``xp``: jnp, or np for a cost of NumPy arrays. Raises `InvalidInputError` where ``goal`` has
-        neither 2ND entries nor, for bodies that turn, 2NG.
+        neither 2ND entries nor, for bodies that turn, 2NG, or ``R`` is of other controls.
         """
+        size = getattr(model, "control_size", self.control_size)
+        if size != self.control_size:
+            raise InvalidInputError(f"cost.R must be [{size}, {size}] for the model, found {self}")
         found, turn_length = self.goal.shape[-1], turn_length_of(model)
         known, rest = divmod(found, 2 * node_count)
         dimension = known

@@ -21,6 +21,7 @@ from contactgraph.control.lqr import (
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati import block_operator
 from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
 
 PlannedCost = tuple[QuadraticCost, Int[Array, " M"], tuple[ContactCost, ...]]
@@ -47,6 +48,8 @@ class ILQR(eqx.Module):
     With contacts that switch hard the model's A and B belong to the states rolled out, not to
     those planned; that is why nothing but a rollout decides.
 
+    Raises `InvalidInputError` where the horizon or the iterations are less than 1.
+
     >>> largest = jnp.array([10.0, 10.0])  # N
     >>> ILQR(horizon=20, limits=ControlLimits(-largest, largest))
     ILQR(horizon=20, limits=ControlLimits(lower=f32[2], upper=f32[2]))
@@ -72,6 +75,11 @@ class ILQR(eqx.Module):
     tell, such as the command that closes a gripper."""
     swept_dt: float | None = eqx.field(static=True, default=None)
     """Length of the model's step, s: plans then hold the swept bounds of all trials."""
+
+    def __check_init__(self) -> None:
+        for name, value in (("horizon", self.horizon), ("iterations", self.iterations)):
+            if value < 1:
+                raise InvalidInputError(f"{name} must be at least 1, found {value}")
 
     def solve(
         self,
@@ -143,6 +151,7 @@ class ILQR(eqx.Module):
         total = jnp.where(rollout.finite(), total, jnp.inf)
         sizes = jnp.asarray(self.step_sizes, total.dtype)
         promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
+        promised = jnp.maximum(promised, 0.0)
         most = search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)
         most = jnp.where(self.leaps & (search.iteration == 1), jnp.inf, most)
         accepted = total < most
@@ -159,7 +168,8 @@ class ILQR(eqx.Module):
         improvement = self._improve(reference, about, damping)
         enough = self.tolerance * jnp.abs(lowest) + self.absolute_tolerance
         # A damped step always predicts a small decrease, so only an undamped one can converge.
-        converged = (damping == 0) & (improvement.expected_decrease <= enough)
+        # A decrease below 0 is that of a problem without a minimum.
+        converged = (damping == 0) & (jnp.abs(improvement.expected_decrease) <= enough)
         nothing_rolls = ~jnp.isfinite(lowest)
         status = jnp.where(damping > _LAST_DAMPING, PlanStatus.NO_DESCENT, _RUNNING)
         status = jnp.where(converged, PlanStatus.CONVERGED, status)
@@ -221,9 +231,17 @@ class ILQR(eqx.Module):
     def prepared(
         self, model: StepModel, state: ModelState, cost: Cost, guess: AffinePolicy | None
     ) -> tuple[QuadraticCost, AffinePolicy]:
-        """The cost in the model's coordinates, and the guess; None is no force."""
+        """The cost in the model's coordinates, and the guess; None is no force.
+
+        Raises `InvalidInputError` where shapes do not fit.
+        """
         count, dimension = state.position.shape
         quadratic = cost.quadratic(count).fitted(model, count)
+        size = quadratic.control_size
+        if self.limits is not None and self.limits.lower.shape != (size,):
+            raise InvalidInputError(
+                f"limits must be of {size} controls, found {self.limits.lower.size}"
+            )
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)

@@ -81,7 +81,7 @@ class Improvement(eqx.Module):
     step: Float[Array, "H U"]
     """N, the policy's change of the reference's control at the reference's state."""
     expected_decrease: Float[Array, ""]
-    """Decrease of the cost if the dynamics stay as they are; never negative."""
+    """Decrease of the cost if the dynamics stay as they are; negative where nothing is least."""
 
 
 def solve_lqr(
@@ -135,7 +135,7 @@ def improve_policy(
     _, (policy, change, decrease) = riccati_pass(
         choose, final, problem, operator(problem.B.shape[1])
     )
-    return Improvement(policy, change, jnp.maximum(jnp.sum(decrease), 0.0))
+    return Improvement(policy, change, jnp.sum(decrease))
 
 
 def _minimum(S: Array, G: Array, slope: Array) -> tuple[Array, Array]:

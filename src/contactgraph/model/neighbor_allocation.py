@@ -3,7 +3,6 @@
 import dataclasses
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from typing import Generic, TypeVar
 
 import jax
@@ -34,6 +33,9 @@ _MIN_SPARE = 4
 _MAX_SHARE = 0.5
 """Of all pairs: with a smaller list a step is faster, for 6 nodes and more by measurement."""
 _GROWTH = 4
+_LENGTHS = 6
+_LONGER = 0.25
+"""Of the cutoff: the largest additional travel bound for which cells are large enough."""
 
 _State = tuple[
     np.ndarray | Array, np.ndarray | Array, np.ndarray | Array, np.ndarray | Array | None
@@ -144,22 +146,23 @@ def _list_for(model: ContactDynamics, dataset: Dataset, count: int) -> NeighborL
 def _cell_sizes(model: ContactDynamics, states: Iterable[_State], spare: float) -> tuple[int, int]:
     """`spare` times the most near pairs, and the most nodes in a cell, of these states."""
     cutoff, dt = _outer(model), model.dt
+    # A faster node makes all cells longer, which divides the scene otherwise.
+    longer = jnp.linspace(0.0, _LONGER * cutoff, _LENGTHS)
 
-    @partial(jax.jit, static_argnums=4)
-    def needed(
-        position: Array, velocity: Array, mask: Array, anchor: Array | None, capacity: int
-    ) -> tuple[Array, Array]:
+    @jax.jit
+    def fullest(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
+        bound = travel_bound(position, velocity, None, anchor, dt) + longer[:, None]
+        each = jax.vmap(lambda bound: cell_candidates(position, bound, mask, cutoff, 1))(bound)
+        return jnp.max(each.largest_cell)
+
+    @jax.jit
+    def near(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
         bound = travel_bound(position, velocity, None, anchor, dt)
-        found = cell_candidates(position, bound, mask, cutoff, capacity)
-        return jnp.sum(found.near), found.largest_cell
+        return jnp.sum(cell_candidates(position, bound, mask, cutoff, capacity).near)
 
-    def most(capacity: int) -> tuple[int, int]:
-        near, largest = np.max(np.asarray([needed(*state, capacity) for state in states]), axis=0)
-        return max(1, int(near)), max(1, int(largest))
-
-    largest = most(1)[1]
-    near = most(largest)[0]
-    return int(np.ceil(spare * near)), int(np.ceil(spare * largest))
+    capacity = max(1, *(int(fullest(*state)) for state in states))
+    pairs = max(1, *(int(near(*state)) for state in states))
+    return int(np.ceil(spare * pairs)), int(np.ceil(spare * capacity))
 
 
 def _outer(model: ContactDynamics) -> float:

@@ -199,11 +199,11 @@ def cell_candidates(
     Arguments as of `NeighborList`.
     """
     count, dimension = position.shape
-    # Cells repeat with period `side`: two that share an index differ in distance.
+    # Cells repeat with period `side`: nodes of two that share an index are told by their distance.
     side = max(4, int(np.ceil((2.0 * count) ** (1.0 / dimension))))
     cells = side**dimension
     length = cutoff + 2.0 * jnp.max(jnp.where(mask, bound, 0.0))
-    corner = jnp.floor(position / length).astype(jnp.int32)
+    corner = jax.vmap(_without_gaps, 1, 1)(jnp.floor(position / length).astype(jnp.int32))
     stride = side ** np.arange(dimension, dtype=np.int32)
     cell = jnp.where(mask, jnp.mod(corner, side) @ stride, cells)
 
@@ -228,6 +228,16 @@ def cell_candidates(
     own = jnp.arange(other.shape[1]) < capacity
     near = near & (~own | (other > node))
     return CellCandidates(unordered_edge_id(node, other), near, jnp.max(occupancy[:cells]))
+
+
+def _without_gaps(corner: Int[Array, " N"]) -> Int[Array, " N"]:
+    """Coordinates of cells, of which those that are adjacent stay so, and others become 2 apart.
+
+    Without it, a scene whose spacing is a period of the cells has many nodes in each.
+    """
+    order = jnp.argsort(corner)
+    steps = jnp.diff(corner[order], prepend=corner[order[:1]])
+    return jnp.zeros_like(corner).at[order].set(jnp.cumsum(jnp.clip(steps, 0, 2)))
 
 
 def _half_neighborhood(dimension: int) -> np.ndarray:
