@@ -73,7 +73,9 @@ def test_arguments_of_other_sizes_are_refused_by_the_planner():
     with pytest.raises(InvalidInputError, match="limits must be of 1 controls, found 3"):
         ILQR(horizon=2, limits=limits).solve(*PENDULUM, cost)
     for name in ("horizon", "iterations"):
-        with pytest.raises(InvalidInputError, match=f"{name} must be at least 1, found 0"):
+        with pytest.raises(
+            InvalidInputError, match=f"{name} must be a whole number of at least 1, found 0"
+        ):
             ILQR(**{"horizon": 2, name: 0})
 
 

@@ -61,6 +61,9 @@ def datasets(draw: st.DrawFn) -> Dataset:
                 "radius": (nodes,),
             }.items()
         }
+        for name in ("mass", "radius"):
+            if optional[name] is not None:
+                optional[name] = np.abs(optional[name])
         if optional["anchor"] is not None:
             optional["anchor"][0] = np.nan
         sides = st.floats(1e-3, 1e3)

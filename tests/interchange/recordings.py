@@ -1,12 +1,22 @@
 """Small recordings of every format, as other programs write them."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.interchange import Recording, to_trajectories
+from contactgraph.interchange.csv_table import read_csv
+from contactgraph.interchange.scene_map import parse_map
+
+BODY = '[[body]]\nname = "box"\nposition = {}\n'
+XY = BODY.format('["x", "y"]')
+SPACE = "# in space\n"
 FETCH_STEPS, TAKE_ROWS, RATE = 12, 48, 120.0
 
 
@@ -265,6 +275,12 @@ def robomimic_file(path: Path) -> Path:
     return path
 
 
+def _no_items(node: int, about: Any) -> Any:
+    """An empty list, or array of bytes."""
+    of_bytes = int(node) == 1 and about[0] in ("uint8", "octet", "byte")
+    return np.zeros(0, np.uint8) if of_bytes else []
+
+
 class Ros:
     """Messages of ROS 2, and bags of them."""
 
@@ -276,6 +292,18 @@ class Ros:
     def __call__(self, kind: str, *values: object) -> Any:
         package, name = kind.split("/")
         return self.store.types[f"{package}/msg/{name}"](*values)
+
+    def empty(self, kind: str) -> Any:
+        """A message whose fields are 0, empty texts and lists, or such messages."""
+        values: list[Any] = []
+        for _, (node, about) in self.store.fielddefs[kind][1]:
+            plain = int(node) == 1  # of `rosbags.interfaces.Nodetype`: BASE, NAME, then lists
+            if plain:
+                text, truth = about[0] == "string", about[0] == "bool"
+                values.append("" if text else False if truth else 0.0 if "float" in about[0] else 0)
+            else:
+                values.append(self.empty(about) if int(node) == 2 else _no_items(*about[0]))
+        return self.store.types[kind](*values)
 
     def header(self, time: float, frame: str = "world") -> Any:
         stamp = self("builtin_interfaces/Time", int(time // 1), round(time % 1 * 1e9))
@@ -309,3 +337,30 @@ class Ros:
                 content = self.store.serialize_cdr(message, kind)
                 writer.write(topics[topic], round(time * 1e9), content)
         return folder
+
+
+def imported(
+    recording: Recording, text: str, dt: float | None = 0.05, time: str = ""
+) -> list[Trajectory]:
+    step = "[time]\n" + ("" if dt is None else f"dt = {dt!r}\n") + time if dt or time else ""
+    dimension = 3 if text.startswith(SPACE) else 2
+    text = f"dimension = {dimension}\n{step}\n{text.removeprefix(SPACE)}"
+    found = to_trajectories(recording, parse_map("map", text))
+    return list(found.trajectories)
+
+
+def refused(recording: Recording, text: str, dt: float | None = 0.05, time: str = "") -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        imported(recording, text, dt, time)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def table(folder: Path, header: str, rows: Sequence[Sequence[Any]], above: str = "") -> Recording:
+    path = folder / "a.csv"
+    path.write_text(above + header + "\n" + "".join(",".join(map(str, r)) + "\n" for r in rows))
+    return read_csv(path)
+
+
+def speeds(trajectory: Trajectory, node: int = 0) -> np.ndarray:
+    return np.linalg.norm(trajectory.velocity[:, node], axis=1)

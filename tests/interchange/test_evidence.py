@@ -1,9 +1,7 @@
 """What a recording says of its own clock, frames, order and names counts, whatever the numbers."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -11,12 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from recordings import Ros, lerobot_frames, nexus_file, robomimic_file
+from recordings import (
+    BODY,
+    SPACE,
+    XY,
+    Ros,
+    imported,
+    lerobot_frames,
+    nexus_file,
+    refused,
+    robomimic_file,
+    speeds,
+    table,
+)
 from scipy.spatial.transform import Rotation
 
 from contactgraph.cli.main import run
-from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.interchange import Recording, to_trajectories
+from contactgraph.data import InvalidInputError
+from contactgraph.interchange import to_trajectories
 from contactgraph.interchange.csv_table import read_csv
 from contactgraph.interchange.draft import draft_map
 from contactgraph.interchange.lerobot import read_lerobot
@@ -25,9 +35,6 @@ from contactgraph.interchange.robomimic import read_robomimic
 from contactgraph.interchange.rosbag import read_rosbag
 from contactgraph.interchange.scene_map import parse_map
 
-BODY = '[[body]]\nname = "box"\nposition = {}\n'
-XY = BODY.format('["x", "y"]')
-SPACE = "# in space\n"
 FEW = settings(max_examples=40, deadline=None)
 SOME = settings(max_examples=10, deadline=None)
 finite = st.floats(-3.0, 3.0)
@@ -36,33 +43,6 @@ finite = st.floats(-3.0, 3.0)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("recordings")
-
-
-def imported(
-    recording: Recording, text: str, dt: float | None = 0.05, time: str = ""
-) -> list[Trajectory]:
-    step = "[time]\n" + ("" if dt is None else f"dt = {dt!r}\n") + time if dt or time else ""
-    dimension = 3 if text.startswith(SPACE) else 2
-    text = f"dimension = {dimension}\n{step}\n{text.removeprefix(SPACE)}"
-    found = to_trajectories(recording, parse_map("map", text))
-    return list(found.trajectories)
-
-
-def refused(recording: Recording, text: str, dt: float | None = 0.05, time: str = "") -> str:
-    with pytest.raises(InvalidInputError) as caught:
-        imported(recording, text, dt, time)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
-def table(folder: Path, header: str, rows: Sequence[Sequence[Any]], above: str = "") -> Recording:
-    path = folder / "a.csv"
-    path.write_text(above + header + "\n" + "".join(",".join(map(str, r)) + "\n" for r in rows))
-    return read_csv(path)
-
-
-def speeds(trajectory: Trajectory, node: int = 0) -> np.ndarray:
-    return np.linalg.norm(trajectory.velocity[:, node], axis=1)
 
 
 jitters = arrays(np.float64, 30, elements=st.floats(-0.4, 0.4))

@@ -122,8 +122,8 @@ def test_wrong_sources(tmp_path: Path) -> None:
     ):
         with pytest.raises(InvalidInputError, match=message):
             read(empty)
-    (empty / "bag.db3").touch()
-    with pytest.raises(InvalidInputError, match=r"must be a file \.mcap"):
+    (empty / "bag.db3").write_bytes(b"SQLite format 3")
+    with pytest.raises(InvalidInputError, match="must be MCAP, but begins with b'SQLite"):
         read_rosbag(empty / "bag.db3")
     info = lerobot_folder(tmp_path / "pusht") / "meta" / "info.json"
     info.write_text(info.read_text().replace("v3.0", "v2.1"))

@@ -154,7 +154,7 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 def _print_dataset(path: Path) -> None:
     from contactgraph.data import describe_file, read_trajectories
-    from contactgraph.data.motion import body_motions, jump_warning
+    from contactgraph.data.motion import body_motions, motion_warnings
 
     summary, dataset = describe_file(path), read_trajectories(path)
     nodes = [len(names) for names in summary.node_name]
@@ -179,8 +179,7 @@ def _print_dataset(path: Path) -> None:
     motions = body_motions(dataset)
     for each in motions:
         print(f"  {each}")
-    warning = jump_warning(motions)
-    if warning is not None:
+    for warning in motion_warnings(motions):
         print(f"  {warning}")
 
 

@@ -39,7 +39,7 @@ class Import:
         from contactgraph.cli.output import check_writable
         from contactgraph.data import Dataset, InvalidInputError, velocity_warning
         from contactgraph.data import write_trajectories as write
-        from contactgraph.data.motion import body_motions, jump_warning
+        from contactgraph.data.motion import body_motions, motion_warnings
         from contactgraph.interchange import read_map, shipped_maps, to_trajectories
         from contactgraph.interchange.csv_table import read_csv
         from contactgraph.interchange.draft import draft_map
@@ -62,6 +62,12 @@ class Import:
                 f"{', '.join(shipped_maps())}"
             )
         check_writable(self.out)
+        place = self.out.resolve()
+        source = self.source.resolve()
+        if place in (Path(self.map).resolve(), source) or (
+            place.exists() and source in place.parents
+        ):
+            raise InvalidInputError(f"{self.out}: must not be the recording or the map")
         scene_map = read_map(self.map)
         recording = read(self.source)
         found = to_trajectories(recording, scene_map)
@@ -71,10 +77,9 @@ class Import:
             hint = "leave velocity out of the map to derive them from positions"
             print(f"warning: {warning}; {hint}", file=sys.stderr)
         motions = body_motions(dataset)
-        warning = jump_warning(motions)
-        if warning is not None:
-            hint = "missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
-            print(f"warning: {warning} {hint}", file=sys.stderr)
+        for warning in motion_warnings(motions):
+            hint = " missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
+            print(f"warning: {warning}{hint * ('jump' in warning)}", file=sys.stderr)
         write(self.out, dataset.trajectories, dataset.metadata)
         steps = sum(each.steps for each in dataset)
         names = ", ".join(dataset.trajectories[0].scene.node_name)
@@ -85,12 +90,15 @@ class Import:
         if found.unused:
             more = f", … ({len(found.unused)} in all)" if len(found.unused) > _SHOWN else ""
             print(f"  not used: {', '.join(found.unused[:_SHOWN])}{more}")
+        if found.lost:
+            print(f"  left out, without a step in which all is known: {', '.join(found.lost)}")
         if found.left_bounds:
             print(f"  {found.left_bounds} end, or are left out, where a body leaves its bounds")
         if found.resampled:
             print(
                 f"  {found.resampled} episodes with gaps or uneven stamps were resampled, and cut "
-                f"at gaps of more than {scene_map.max_gap:g} s"
+                f"at gaps of more than {scene_map.max_gap:g} s; {found.left_out:.3g} s are left "
+                "out, in which not all bodies and controls are known"
             )
 
 

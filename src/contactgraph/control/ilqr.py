@@ -78,8 +78,10 @@ class ILQR(eqx.Module):
 
     def __check_init__(self) -> None:
         for name, value in (("horizon", self.horizon), ("iterations", self.iterations)):
-            if value < 1:
-                raise InvalidInputError(f"{name} must be at least 1, found {value}")
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InvalidInputError(
+                    f"{name} must be a whole number of at least 1, found {value!r}"
+                )
 
     def solve(
         self,

@@ -11,6 +11,13 @@ _ISOLATED = 10.0
 """Times the steps before and after it, and the median of those in which the body moves, from which
 on a step is a jump."""
 
+_OTHER_RATE = 2.0
+"""Times the rate of the poses, from which on a recorded turn rate is another."""
+_TURNS = 0.5
+"""rad: the least sum of turns that is compared."""
+_STANDS = 0.01
+"""Of the extent of all positions, up to which a static body's are noise."""
+
 
 @dataclass(frozen=True)
 class BodyMotion:
@@ -29,6 +36,13 @@ class BodyMotion:
     """s, at its end."""
     jumps: int
     """Steps of more than ten times those before and after, and the median of moving ones."""
+    turn_jumps: int
+    """The same of turns."""
+    rate_ratio: float
+    """Of the recorded turn rates, summed over time, to the turns between poses; 1 where nothing
+    turns."""
+    drift: float
+    """Largest distance from the first position of a static node, relative to the extent of all."""
     unmeasured: float
     """Share of states in which the body was not tracked."""
 
@@ -47,19 +61,33 @@ def body_motions(dataset: Dataset) -> list[BodyMotion]:
     return [_motion(dataset, name) for name in names]
 
 
-def jump_warning(motions: list[BodyMotion]) -> str | None:
-    """One line about bodies that jump; None: none does."""
-    found = [f"{each.name} {each.jumps} times" for each in motions if each.jumps]
-    if not found:
-        return None
-    return (
-        f"positions jump: {', '.join(found)}, in one step by more than {_ISOLATED:g} times those "
-        "before and after; are these measurements?"
-    )
+def motion_warnings(motions: list[BodyMotion]) -> list[str]:
+    """A line for each sign that bodies cannot have moved so."""
+    found = []
+    jumping = {"positions": "jumps", "turns": "turn_jumps"}
+    for what, name in jumping.items():
+        those = [
+            f"{each.name} {getattr(each, name)} times" for each in motions if getattr(each, name)
+        ]
+        if those:
+            found.append(
+                f"{what} jump: {', '.join(those)}, in one step by more than {_ISOLATED:g} times "
+                "those before and after; are these measurements?"
+            )
+    for each in motions:
+        if not 1.0 / _OTHER_RATE < each.rate_ratio < _OTHER_RATE:
+            found.append(
+                f"turn rates contradict orientations: those of {each.name} are "
+                f"{each.rate_ratio:.3g} times as large; check their unit"
+            )
+        if each.drift > _STANDS:
+            found.append(f"{each.name} is static, but moves: is it?")
+    return found
 
 
 def _motion(dataset: Dataset, name: str) -> BodyMotion:
     fastest, rate, largest, jumps = 0.0, [], (0.0, 0, 0.0), 0
+    turn_jumps, turned, integral, drift = 0, 0.0, 0.0, 0.0
     tracked: list[np.ndarray] = []
     for index, each in enumerate(dataset):
         if name not in each.scene.node_name:
@@ -75,10 +103,21 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
             turn = turn if turn.shape[1] == 1 else rotation_vectors(turn)
             between = turn_between(turn[:-1], turn[1:])
             rate += [float(np.nanmax(between)) / dt] if np.isfinite(between).any() else []
+            turn_jumps += _jumps(np.nan_to_num(between))
+            if each.angular_velocity is not None:
+                speed = dt * np.linalg.norm(each.angular_velocity[1:, node], axis=-1)
+                both = np.isfinite(speed) & np.isfinite(between)
+                turned, integral = turned + between[both].sum(), integral + speed[both].sum()
+        if each.scene.static is not None and each.scene.static[node]:
+            away = np.linalg.norm(each.position[:, node] - each.position[0, node], axis=1).max()
+            extent = np.linalg.norm(np.ptp(each.position, axis=(0, 1)))
+            drift = max(drift, float(away / max(extent, np.finfo(float).tiny)))
         if each.tracked is not None:
             tracked.append(each.tracked[:, node])
     lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
-    return BodyMotion(name, fastest, max(rate, default=None), *largest, jumps, lost)
+    ratio = integral / turned if max(integral, turned) > _TURNS and turned else 1.0
+    top = max(rate, default=None)
+    return BodyMotion(name, fastest, top, *largest, jumps, turn_jumps, ratio, drift, lost)
 
 
 def _jumps(steps: np.ndarray) -> int:

@@ -114,6 +114,10 @@ class Scene:
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
+        for name in ("mass", "radius"):
+            value = getattr(self, name)
+            if value is not None and np.any(value < 0.0):
+                raise InvalidInputError(f"{name} must not be negative, found {value.tolist()}")
         if self.size is not None:
             _check_size(self.size, self.node_name)
         if self.candidate_edges is not None:

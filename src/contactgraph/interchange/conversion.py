@@ -19,6 +19,7 @@ from contactgraph.interchange.measurements import (
 from contactgraph.interchange.recording import Recording
 from contactgraph.interchange.scene_map import BodyMap, PairMap, SceneMap
 
+_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 _SAME_STEP = 0.1
 """Largest relative difference of times from steps in another unit."""
 State = dict[str, np.ndarray]
@@ -36,6 +37,10 @@ class Conversion:
     """Trajectories that end, or would begin, where a body is out of its bounds."""
     unused: tuple[str, ...]
     """What is in the recording, and not in the map."""
+    left_out: float
+    """s of the recording in which not all bodies and controls were known."""
+    lost: tuple[str, ...]
+    """Episodes without a step in which all are known."""
 
 
 def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
@@ -46,7 +51,9 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
     """
     dt = scene_map.dt or recording.dt
     found: list[Trajectory] = []
+    lost: list[str] = []
     resampled = left = 0
+    left_out = 0.0
     for episode in recording.episodes:
         try:
             if dt is None:
@@ -54,14 +61,16 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
                     f"{scene_map.where}: the time of a step must be given, [time] dt = s; "
                     f"--inspect suggests one"
                 )
-            parts, even = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
+            parts, seconds = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
             for each in parts:
                 _check_speeds(each, scene_map)
             kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
             raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
         found += [each for each in kept if each is not None]
-        resampled += not even
+        resampled += seconds is not None
+        left_out += seconds or 0.0
+        lost += [] if parts else [episode.name]
         left += sum(each is not part for each, part in zip(kept, parts, strict=True))
     if not found:
         raise InvalidInputError(
@@ -72,11 +81,12 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
     )
     used = set.union(*(each.used for each in recording.episodes))
     unused = tuple(name for name in there if name not in used)
-    return Conversion(tuple(found), resampled, left, unused)
+    return Conversion(tuple(found), resampled, left, unused, left_out, tuple(lost))
 
 
-def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
-    """The trajectories of an episode, and whether it had even stamps and no gaps."""
+def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
+    """The trajectories of an episode, and the s of it that are left out; None: it had even stamps
+    and no gaps."""
     tracks = [read_track(mapped, body) for body in mapped.map.bodies]
     controls = [finite_rows(mapped, each.entries) for each in mapped.map.controls]
     pairs = {
@@ -89,6 +99,7 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
         raise InvalidInputError("the position of at least one body must be recorded")
     states = max(map(len, moving))
     times = next(each for each in moving if len(each) == states)
+    _check_counts(mapped)
     _check_units(mapped, times)
     even = (
         states > 1
@@ -101,11 +112,39 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], bool]:
         and resampling.is_even(times, mapped.dt)
     )
     if even:
-        return [_trajectory(mapped, tracks, controls, pairs, None)], True
+        return [_trajectory(mapped, tracks, controls, pairs, None)], None
+    apart = float(np.median(np.diff(times))) if states > 1 else 0.0
+    if apart > mapped.map.max_gap:
+        raise InvalidInputError(
+            f"rows are {apart:g} s apart, but max_gap is {mapped.map.max_gap:g} s; times in ms or "
+            "another unit need [time] columns with a scale"
+        )
+    for body, track in zip(mapped.map.bodies, tracks, strict=True):
+        if len(track.times) == 1 < states:
+            raise InvalidInputError(
+                f"{body.name}: must be measured more than once, or stand: static = true"
+            )
     parts = resampling.even_times(
         moving, [each for each, _ in controls], mapped.dt, mapped.map.max_gap
     )
-    return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], False
+    every = np.concatenate(moving + [each for each, _ in controls])
+    left = np.ptp(every) - sum(np.ptp(at) for at in parts)
+    return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], float(left)
+
+
+def _check_counts(mapped: MappedEpisode) -> None:
+    """Refuses columns without times whose rows cannot belong together."""
+    columns = mapped.episode.columns
+    counts = {
+        name: len(columns[name].values)
+        for name in sorted(mapped.episode.used & set(columns))
+        if columns[name].stamps is None
+    }
+    if counts and max(counts.values()) > min(counts.values()) + 1:
+        shown = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise InvalidInputError(
+            f"columns without times must have a row for each state, or one less, found {shown}"
+        )
 
 
 def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
@@ -113,8 +152,16 @@ def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
     frames = {
         body.name: track.frame
         for body, track in zip(scene_map.bodies, tracks, strict=True)
-        if track.frame and body.in_frame_of is None
+        if track.frame
     }
+    for body in scene_map.bodies:
+        if body.base is not None and frames.get(body.name, "") == frames.get(body.base):
+            raise InvalidInputError(
+                f"{scene_map.where}: {body.name}: must be recorded in the frame of {body.base}, "
+                f"found both in {frames[body.name]!r}"
+            )
+        if body.in_frame_of is not None:
+            frames.pop(body.name, None)
     if len(set(frames.values())) > 1:
         found = ", ".join(f"{name} in {frame!r}" for name, frame in frames.items())
         raise InvalidInputError(
@@ -124,9 +171,9 @@ def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
 
 
 def _check_units(mapped: MappedEpisode, times: np.ndarray) -> None:
-    """Refuses times a thousand, a million or a billion steps apart, which are not in s."""
+    """Refuses times that are not in s."""
     apart = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+    for unit, scale in _UNITS.items():
         if abs(apart * scale / mapped.dt - 1.0) < _SAME_STEP:
             raise InvalidInputError(
                 f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
@@ -186,6 +233,8 @@ def _trajectory(
         measured["measured_at"] = np.stack(stamps, axis=1)
         tracked = [resampling.is_tracked(at, times) for times in moving]
         measured["tracked"] = np.stack(tracked, axis=1)
+        for node, each in enumerate(given):
+            measured["tracked"][:, node] &= each.get("tracked", np.ones((1, 1)))[:, 0] > 0.5
     else:
         now = mapped.dt * np.arange(states)[:, None]
         for name, default in (("tracked", np.ones_like(now)), ("measured_at", now)):
@@ -212,6 +261,8 @@ def _at_times(track: Track, at: np.ndarray | None, states: int) -> dict[str, np.
             found[name] = np.broadcast_to(values, (states, values.shape[1])).copy()
         elif name == "orientation":
             found[name] = resampling.interpolated_turns(at, track.times, values)
+        elif name == "tracked":
+            found[name] = values[resampling.newest(at, track.times)]
         elif name in STATE:
             found[name] = resampling.interpolated(at, track.times, values)
     return found
@@ -273,12 +324,13 @@ def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
 
 
 def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tuple[str, ...]:
-    """Adds the velocities [S, W] that are not given; the names of what there is then."""
+    """Adds the velocities [S, W] that are not given or known; the names of what there is then."""
     bodies, dt = mapped.map.bodies, mapped.dt
     turns = "orientation" in given[0]
     for body, each in zip(bodies, given, strict=True):
-        if body.velocity is None:
-            each["velocity"] = _difference(each["position"], dt)
+        derived = _difference(each["position"], dt)
+        known = np.isfinite(each.get("velocity", np.full_like(derived, np.nan))).all(axis=1)
+        each["velocity"] = np.where(known[:, None], each.get("velocity", derived), derived)
         if turns and body.angular_velocity is None:
             turn = each["orientation"]
             each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)

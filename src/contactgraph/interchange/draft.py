@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from contactgraph.interchange.recording import Episode, Recording
+from contactgraph.interchange.recording import Column, Episode, Recording
 from contactgraph.interchange.scene_map import parse_map, shipped_map_text, shipped_maps
 
 _POSITION = re.compile(
@@ -38,8 +38,10 @@ def draft_map(recording: Recording) -> str:
 
 def _columns(recording: Recording) -> list[str]:
     """A line for each column: name, width, and least and largest number of all episodes."""
-    lines, first = [], recording.episodes[0]
-    for name, column in first.columns.items():
+    lines, columns, others = [], dict[str, Column](), dict[str, str]()
+    for each in recording.episodes:
+        columns, others = each.columns | columns, each.others | others
+    for name, column in columns.items():
         found = [each.columns[name].values for each in recording.episodes if name in each.columns]
         finite = [values[np.isfinite(values)] for values in found]
         low = min((each.min() for each in finite if each.size), default=np.nan)
@@ -50,7 +52,7 @@ def _columns(recording: Recording) -> list[str]:
         lines.append(
             f"{name}[{column.values.shape[1]}]  {low:.4g} to {high:.4g}, {rows} rows{missing}"
         )
-    return lines + [f"{name}  not used: {what}" for name, what in first.others.items()]
+    return lines + [f"{name}  not used: {what}" for name, what in others.items()]
 
 
 def _guessed(recording: Recording) -> list[str]:

@@ -40,6 +40,7 @@ _SETTINGS: dict[str, str | bool | int | float | list[str]] = {
 _OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 """Features of every dataset, which are no observations."""
 _CLOCKS = ("timestamp", "frame_index")
+_RATE_ERROR = 0.1
 _CLOCK_STEP = 1e-6
 """s, to which stamps in single precision are rounded."""
 _NUMBERS = ("float16", "float32", "float64", "bool", "int8", "int16", "int32", "int64", "uint8")
@@ -92,6 +93,15 @@ def read_lerobot(source: Path) -> Recording:
     stamps = clock.get("timestamp")
     if stamps is None and "frame_index" in clock:
         stamps = clock["frame_index"] / fps
+    if stamps is not None and "frame_index" in clock:
+        steps = np.diff(stamps)[~begins[1:]] * fps, np.diff(clock["frame_index"])[~begins[1:]]
+        if np.any(steps[1] > steps[0] + 0.5) or (
+            len(steps[0]) and abs(np.median(steps[0]) - 1.0) > _RATE_ERROR
+        ):
+            raise InvalidInputError(
+                f"{source}: timestamp must fit frame_index and fps {fps:g}, found steps of "
+                f"{np.median(steps[0]) / fps:g} s"
+            )
     if stamps is not None:
         stamps = _CLOCK_STEP * np.round(stamps / _CLOCK_STEP)
     return Recording(

@@ -1,7 +1,7 @@
 """Entries of import maps: columns of a recording with their scale and offset."""
 
 import reprlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,10 @@ class Entries:
     offset: np.ndarray = field(default_factory=lambda: np.zeros(1))
     constant: np.ndarray | None = None
 
-    def read(self, episode: Episode, *widths: int) -> Column:
-        """Of one of these widths, if any are given; constant ones have one row."""
+    def read(self, episode: Episode, *widths: int, missing: float | None = None) -> Column:
+        """Of one of these widths, if any are given; constant ones have one row. Rows of which all
+        recorded numbers are ``missing`` are NaN.
+        """
         if self.constant is not None:
             found = Column(self.constant[None])
         else:
@@ -31,10 +33,12 @@ class Entries:
             except InvalidInputError as error:
                 raise InvalidInputError(f"{self.where}: {error}") from error
             first = parts[0]
-            if any(not _same_times(each, first) for each in parts[1:]):
+            if any(not same_times(each, first) for each in parts[1:]):
                 raise InvalidInputError(f"{self.where}: columns must have the same times")
             values = np.concatenate([each.values for each in parts], axis=1)
-            found = Column(values, first.stamps, first.frame)
+            values = np.where((values == missing).all(axis=1, keepdims=True), np.nan, values)
+            axes = "".join(each.axes for each in parts)
+            found = replace(first, values=values, axes=axes)
         width = found.values.shape[1]
         if widths and width not in widths:
             wanted = " or ".join(map(str, widths))
@@ -44,10 +48,11 @@ class Entries:
                 raise InvalidInputError(
                     f"{self.where}: {name} must be 1 or {width} numbers, found {len(each)}"
                 )
-        return Column(found.values * self.scale + self.offset, found.stamps, found.frame)
+        return replace(found, values=found.values * self.scale + self.offset)
 
 
-def _same_times(one: Column, other: Column) -> bool:
+def same_times(one: Column, other: Column) -> bool:
+    """Whether the rows of two columns belong together."""
     if one.stamps is None or other.stamps is None:
         return one.stamps is other.stamps and len(one.values) == len(other.values)
     return one.stamps is other.stamps or np.array_equal(one.stamps, other.stamps)

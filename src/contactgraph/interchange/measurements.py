@@ -7,12 +7,15 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.turns import quaternions_of, rotations
-from contactgraph.interchange.map_entries import Entries
+from contactgraph.interchange.map_entries import Entries, same_times
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import BodyMap, SceneMap, Turn
 
 STATE = ("position", "velocity", "orientation", "angular_velocity")
 _TINY = 1e-6
+_MISFIT = 0.2
+"""Of points that are not where they should be, root mean squares, relative to their distances from
+the middle."""
 _DEFINED = 0.067
 """Squared cosine of half a tilt, 150 degrees, above which a turn about an axis is too noisy."""
 
@@ -31,18 +34,22 @@ class MappedEpisode:
         """[S] s of a column's rows: those of the map, else of the recording, else its steps."""
         count, clock = len(column.values), self.map.time
         if clock is not None:
-            times = clock.read(self.episode, 1).values[:count, 0]
-            if len(times) < count:
+            found = clock.read(self.episode, 1)
+            stamped = found.stamps is not None or column.stamps is not None
+            if len(found.values) not in (count, count + 1) or (
+                stamped and not same_times(found, column)
+            ):
                 raise InvalidInputError(
-                    f"{clock.where}: must have a row for each of the others, {count}, found "
-                    f"{len(times)}"
+                    f"{clock.where}: must have a row for each of the others, {count}, at the same "
+                    f"times, found {len(found.values)}"
                 )
-            return times
+            return found.values[:count, 0]
         if column.stamps is not None:
             return column.stamps
         if self.episode.no_times:
             raise InvalidInputError(self.episode.no_times)
-        return np.asarray((self.row_dt or self.dt) * np.arange(count))
+        steps = np.arange(count) if self.episode.steps is None else self.episode.steps[:count]
+        return np.asarray((self.row_dt or self.dt) * steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +73,22 @@ def finite_rows(mapped: MappedEpisode, entries: Entries) -> tuple[np.ndarray, np
     """Times [S] s and values [S, W] of the rows that have numbers."""
     column = entries.read(mapped.episode)
     known = np.isfinite(column.values).all(axis=1)
-    times = mapped.times(column)[known]
-    if not len(times):
+    if not known.any():
         raise InvalidInputError(f"{entries.where}: must have numbers, found none")
-    _check_times(entries.where, times)
-    return times, column.values[known]
+    return _times(mapped, column, known, entries.where), column.values[known]
 
 
-def _check_times(where: str, times: np.ndarray) -> None:
+def _times(mapped: MappedEpisode, column: Column, known: np.ndarray, where: str) -> np.ndarray:
+    """[S] s of these rows of a column."""
+    times = mapped.times(column)[known]
     wrong = ~(np.diff(times) > 0.0) if np.isfinite(times).all() else ~np.isfinite(times)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InvalidInputError(
             f"{where}: times must be finite and increase, found {times[row : row + 2].tolist()} s "
-            f"at row {row}"
+            f"from row {np.flatnonzero(known)[row] + 1} on"
         )
+    return times
 
 
 def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
@@ -88,49 +96,53 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
     episode, dimension = mapped.episode, mapped.map.dimension
     turning = 1 if dimension == 2 else 3
     size = dimension if body.keypoints is None else body.keypoints.size
-    position = body.position.read(episode, size)
+    position = body.position.read(episode, size, missing=body.missing)
     known = np.isfinite(position.values).all(axis=1)
-    if body.missing is not None:
-        known &= (position.values != body.missing).any(axis=1)
     if not known.any():
         raise InvalidInputError(f"{body.position.where}: must have numbers, found none")
     values = {"position": position.values[known]}
     if body.keypoints is not None:
-        values["position"], values["orientation"] = _fitted(body, values["position"], dimension)
+        fitted = _fitted(body, values["position"], dimension)
+        known[np.flatnonzero(known)[~fitted[2]]] = False
+        values = {"position": fitted[0][fitted[2]], "orientation": fitted[1][fitted[2]]}
     others = {"velocity": body.velocity, "angular_velocity": body.angular_velocity}
     for name, entries in others.items():
         if entries is not None:
             width = dimension if name == "velocity" else turning
-            values[name] = _rows(entries.read(episode, width), known, entries.where)
+            values[name] = _rows(entries.read(episode, width), position, known, entries.where)
     if body.orientation is not None:
         entries = body.orientation.entries
         widths = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
-        found = _rows(entries.read(episode, *widths), known, entries.where)
-        values["orientation"] = _orientation(body.orientation, found, dimension)
+        read = entries.read(episode, *widths)
+        found = _rows(read, position, known, entries.where)
+        values["orientation"] = _orientation(body.orientation, found, read.axes, dimension)
     for name in ("tracked", "measured_at"):
         entries = getattr(body, name)
         if entries is not None:
-            values[name] = _rows(entries.read(episode, 1), known, entries.where)
-    if body.position.constant is not None:
+            values[name] = _rows(entries.read(episode, 1), position, known, entries.where)
+    if body.position.constant is not None or (body.static and known.sum() == 1):
         return Track(np.zeros(0), values, "")
-    times = mapped.times(position)[known]
-    _check_times(body.position.where, times)
+    times = _times(mapped, position, known, body.position.where)
     return Track(times, values, position.frame)
 
 
-def _rows(column: Column, known: np.ndarray, where: str) -> np.ndarray:
+def _rows(column: Column, position: Column, known: np.ndarray, where: str) -> np.ndarray:
     """The rows of a column at which the position is known; constant ones have one row."""
     if len(column.values) not in (1, len(known)):
         raise InvalidInputError(
             f"{where}: must have a row for each position, {len(known)}, found {len(column.values)}"
         )
+    if len(column.values) > 1 and not same_times(column, position):
+        raise InvalidInputError(f"{where}: must have the times of the position, found others")
     return column.values[known] if len(column.values) == len(known) else column.values
 
 
-def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [S, D] and orientations of the frame whose points lie at ``points`` [S, V * D].
+def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarray, ...]:
+    """Positions [S, D] and orientations of the frame whose points lie at ``points`` [S, V * D], and
+    whether they do lie so [S].
 
-    The rotation is that of Kabsch (1976), by singular values.
+    The rotation is that of Kabsch (1976), by singular values. Raises `InvalidInputError` where most
+    points are farther from where they should be than a fifth of their distances from the middle.
     """
     keypoints = body.keypoints
     if keypoints is None or keypoints.shape != (len(keypoints), dimension) or len(keypoints) < 2:
@@ -142,24 +154,46 @@ def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarr
     mirror[:, 0, -1] = np.sign(np.linalg.det(left) * np.linalg.det(right))
     turn = np.swapaxes(left * mirror @ right, 1, 2)
     position = centre - turn @ keypoints.mean(axis=0)
+    apart = np.linalg.norm(seen - centre[:, None] - own @ np.swapaxes(turn, 1, 2), axis=(1, 2))
+    fits = apart <= _MISFIT * np.linalg.norm(own)
+    if np.median(fits) < 0.5:
+        raise InvalidInputError(
+            f"{body.position.where}: points must fit the columns, but are off by "
+            f"{np.median(apart) / np.sqrt(len(own)):.3g} m: other axes, order, or scale?"
+        )
     if dimension == 2:
-        return position, np.arctan2(turn[:, 1, :1], turn[:, 0, :1])
+        return position, np.arctan2(turn[:, 1, :1], turn[:, 0, :1]), fits
     from scipy.spatial.transform import Rotation  # slow to import
 
-    return position, quaternions_of(Rotation.from_matrix(turn))
+    return position, quaternions_of(Rotation.from_matrix(turn)), fits
 
 
-def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
-    """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known."""
+def _orientation(turn: Turn, read: np.ndarray, axes: str, dimension: int) -> np.ndarray:
+    """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known.
+
+    ``axes``: what the recording tells of the numbers, if anything.
+    """
     known = np.isfinite(read).all(axis=1)
+    euler = turn.euler if turn.euler.isupper() else turn.euler[::-1].upper()  # the same turns
+    told = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
+    if (euler or turn.order) and told not in ("", euler or turn.order):
+        raise InvalidInputError(
+            f"{turn.entries.where}: must be in the recording's order, {told}, "
+            f"found {euler or turn.order}"
+        )
     if not turn.euler and read.shape[1] == 1:
+        if turn.order or turn.axis or turn.turned_by is not None:
+            raise InvalidInputError(
+                f"{turn.entries.where}: order, axis and turned_by are for quaternions, "
+                "found an angle"
+            )
         return np.where(known[:, None], read, np.nan)
     if turn.euler:
         from scipy.spatial.transform import Rotation  # slow to import
 
         found = quaternions_of(Rotation.from_euler(turn.euler, read[known]))
     else:
-        found = np.roll(read[known], 1, axis=1) if turn.order == "xyzw" else read[known]
+        found = read[known][:, [(turn.order or told or "wxyz").index(each) for each in "wxyz"]]
         length = np.linalg.norm(found, axis=1, keepdims=True)
         wrong = np.flatnonzero(~(length[:, 0] > _TINY))
         if len(wrong):
@@ -181,7 +215,7 @@ def _orientation(turn: Turn, read: np.ndarray, dimension: int) -> np.ndarray:
 def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:
     """[S, 1] rad: the turns about an axis of the world; from the first pose on, where the body
     lies so that its own turn about that axis is undefined."""
-    axis = 1 + "xyz".index(turn.axis)
+    axis = 1 + "xyz".index(turn.axis or "z")
 
     def about(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         angle = 2.0 * np.arctan2(found[:, axis], found[:, 0])
@@ -194,7 +228,7 @@ def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:
         angle, defined = about(since)
         if defined.min() < _DEFINED:
             raise InvalidInputError(
-                f"{turn.entries.where}: the turn about {turn.axis} is undefined in row "
+                f"{turn.entries.where}: the turn about {turn.axis or 'z'} is undefined in row "
                 f"{int(defined.argmin())}, where the body is turned over; is axis the world's "
                 "vertical?"
             )

@@ -41,7 +41,7 @@ def read_minari(source: Path) -> Recording:
     if (folder / "data").is_dir():
         folder = folder / "data"
     path = source if source.is_file() else folder / _FILE
-    environment = _environment(folder / _METADATA)
+    environment, total = _environment(folder / _METADATA)
     if not path.exists():
         raise InvalidInputError(
             f"{source}: must be a folder of Minari with data/{_FILE} (often below "
@@ -50,13 +50,17 @@ def read_minari(source: Path) -> Recording:
     check_file(path, _LARGEST_FILE)
     with opened(path) as root:
         episodes = read_episodes(root, _PREFIX, _episode)
+    if total not in (None, len(episodes)):
+        raise InvalidInputError(
+            f"{source}: must have {total!r} episodes, as {_METADATA} says, found {len(episodes)}"
+        )
     return Recording(str(source), episodes, environment=environment)
 
 
-def _environment(path: Path) -> str:
-    """The environment's name by the metadata, or none."""
+def _environment(path: Path) -> tuple[str, object]:
+    """The environment's name and the number of episodes by the metadata, or nothing."""
     if not path.exists():
-        return ""
+        return "", None
     metadata = read_json(path)
     kind = metadata.content.get("data_format", "hdf5")
     if kind != "hdf5":
@@ -64,11 +68,12 @@ def _environment(path: Path) -> str:
             f"{path}: data_format must be hdf5, found {kind!r}; Minari itself reads it, and "
             'records hdf5 with data_format="hdf5"'
         )
+    total = metadata.content.get("total_episodes")
     try:
         found = json.loads(metadata.content.get("env_spec", "{}")).get("id", "")
     except (ValueError, TypeError, AttributeError, RecursionError):
-        return ""
-    return found if isinstance(found, str) else ""
+        return "", total
+    return found if isinstance(found, str) else "", total
 
 
 def read_episodes(

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -16,6 +16,8 @@ LARGEST = 2**27
 _LARGEST_JSON = 2**24
 """Bytes."""
 _SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9})(?::(?P<stop>\d{1,9}))?\]")
+_POINTER = b"version https://git-lfs"
+_NUMBER = re.compile(r"(\d+)")
 _SHOWN = 30
 """Columns that an error lists."""
 
@@ -30,6 +32,9 @@ class Column:
     """[S] s. None: those of the episode, or its steps."""
     frame: str = ""
     """Of the coordinates, where the format tells it."""
+    axes: str = ""
+    """What the numbers are, where the format or a name tells it: the letters of ``wxyz``, or of
+    Euler angles in SciPy's notation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +49,8 @@ class Episode:
     """Why rows have no times, where they should."""
     used: set[str] = field(default_factory=set)
     """Columns that were asked for."""
+    steps: np.ndarray | None = None
+    """[S] numbers of the rows' steps, where they have no times and not every step has a row."""
 
     def column(self, reference: str) -> Column:
         """The columns that ``name``, ``name[i]`` or ``name[start:stop]`` refers to.
@@ -69,7 +76,8 @@ class Episode:
         stop = int(sliced["stop"]) if sliced["stop"] else start + 1
         if not start < stop <= width:
             raise InvalidInputError(f"{reference!r} must lie in {name}[0:{width}]")
-        return Column(column.values[:, start:stop], column.stamps, column.frame)
+        part = slice(start, stop)
+        return replace(column, values=column.values[:, part], axes=column.axes[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +124,11 @@ def check_file(path: Path, largest: int) -> None:
         raise InvalidInputError(f"{path}: must be a file, found a folder or device")
     if path.stat().st_size > largest:
         raise InvalidInputError(f"{path}: must have at most {largest} bytes")
+    with path.open("rb") as file:
+        head = file.read(len(_POINTER))
+    if not head or head == _POINTER:
+        what = "is a pointer of Git LFS; `git lfs pull` fetches the file" if head else "is empty"
+        raise InvalidInputError(f"{path}: {what}")
 
 
 def read_json(path: Path) -> JsonFields:
@@ -132,10 +145,11 @@ def read_json(path: Path) -> JsonFields:
 
 
 def files_of(source: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The file ``source``, or the files of these suffixes in that folder, by name."""
+    """The file ``source``, or the files of these suffixes in that folder, by name and number."""
     if not source.is_dir():
         return [source]
-    found = sorted(each for each in source.iterdir() if each.suffix.lower() in suffixes)
+    found = [each for each in source.iterdir() if each.suffix.lower() in suffixes]
+    found.sort(key=lambda each: [int(p) if p.isdigit() else p for p in _NUMBER.split(each.name)])
     if not found:
         raise InvalidInputError(f"{source}: no file that ends in {' or '.join(suffixes)}")
     return found

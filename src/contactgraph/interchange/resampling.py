@@ -98,10 +98,15 @@ def any_within(at: np.ndarray, stamps: np.ndarray, flags: np.ndarray) -> np.ndar
     return np.asarray(count[upto] > count[since])
 
 
+def newest(at: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+    """[T+1] the newest measurement at each time; the first one before it."""
+    found = np.searchsorted(stamps, at + _EVEN * (at[1] - at[0]), side="right") - 1
+    return np.asarray(np.maximum(found, 0))
+
+
 def measured_at(at: np.ndarray, stamps: np.ndarray) -> np.ndarray:
     """[T+1] s: the newest of the measurements' times at each time."""
-    newest = np.searchsorted(stamps, at + _EVEN * (at[1] - at[0]), side="right") - 1
-    return np.minimum(stamps[np.maximum(newest, 0)], at)
+    return np.minimum(stamps[newest(at, stamps)], at)
 
 
 def is_tracked(at: np.ndarray, stamps: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ from contactgraph.interchange.minari import read_columns, read_episodes
 from contactgraph.interchange.recording import Column, Episode, Recording, check_file
 
 _LARGEST_FILE = 2**36
-_PARTS = ("obs", "states", "actions")
 _PREFIX = "demo_"
 
 
@@ -36,7 +35,13 @@ def read_robomimic(source: Path) -> Recording:
 
 
 def _episode(name: str, group: UntrustedGroup) -> Episode:
-    columns, others = read_columns(group, _PARTS)
+    columns, others = read_columns(group, [each for each in group.names() if each != "next_obs"])
+    count = group.group.attrs.get("num_samples")
+    if count is not None and "actions" in columns and len(columns["actions"].values) != count:
+        raise InvalidInputError(
+            f"{group.where}: must have {count} actions, as num_samples says, "
+            f"found {len(columns['actions'].values)}"
+        )
     after, _ = read_columns(group, ("next_obs",))
     for at, column in columns.items():
         following = after.get(at.replace("obs/", "next_obs/", 1)) if at.startswith("obs/") else None

@@ -33,6 +33,8 @@ _LONGEST = 64
 """Items of a list of messages, beyond which they are no bodies."""
 _METADATA = "metadata.yaml"
 _MAGIC = b"\x89MCAP0\r\n"
+_EPOCH = 10**17
+"""ns: stamps above are of a clock that tells the date."""
 _SET_BACK = 3
 """Messages in a row that are older than the newest, from which on a clock was set back."""
 
@@ -46,6 +48,12 @@ class Part(NamedTuple):
     """Frame, and time, ns, of the innermost header. None: there is none."""
     labels: tuple[str, ...] = ()
     """Names of the numbers, if they have some."""
+    axes: str = ""
+    """``xyzw`` of a quaternion."""
+    child: str = ""
+    """The frame that a message, not one of a list, tells the pose of."""
+    instead: str = ""
+    """What there is, where it is not read as numbers."""
 
 
 class Row(NamedTuple):
@@ -62,6 +70,11 @@ class Row(NamedTuple):
         """Of the coordinates; empty: unknown."""
         return "" if self.part.header is None else self.part.header[0]
 
+    @property
+    def stamp(self) -> int | None:
+        """ns, of the header; None: there is none."""
+        return None if self.part.header is None else self.part.header[1]
+
 
 def read_rosbag(source: Path) -> Recording:
     """The recording in an MCAP file, or in a folder.
@@ -69,9 +82,9 @@ def read_rosbag(source: Path) -> Recording:
     A folder with ``metadata.yaml`` is one episode; in another folder each file is one. The fields
     of messages are columns ``TOPIC.field``, and points and quaternions one each. Transforms are
     named by their child's frame, items of other lists by their index, and numbers that belong to
-    names, such as those of joints, by these. A column in several frames is one for each,
-    ``COLUMN@FRAME``. The time of a row is that of the message's header, else that of its recording.
-    Where times are set back, an episode ends.
+    names, such as those of joints, by these. A column in several frames, or of several child
+    frames, is one for each, ``COLUMN@FRAME``. The time of a row is that of the message's header,
+    else that of its recording. Where times are set back, an episode ends.
     """
     paths = files_of(source, (".mcap",))
     together = source.is_dir() and (source / _METADATA).exists()
@@ -101,7 +114,12 @@ def _check_profile(path: Path) -> None:
         head = file.read(len(_MAGIC) + 13)
         size = int.from_bytes(head[-4:], "little")
         profile = file.read(min(size, 64)).decode("utf-8", "replace")
-    if head.startswith(_MAGIC) and profile != "ros2":
+    if not head.startswith(_MAGIC):
+        raise InvalidInputError(
+            f"{path}: must be MCAP, but begins with {head[:16]!r}; rosbags-convert and "
+            "`ros2 bag convert` write it"
+        )
+    if profile != "ros2":
         kind = (
             f"has the profile {profile!r}" if profile else "has no profile, as of JSON or Protobuf"
         )
@@ -133,21 +151,28 @@ def _by_label(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, l
 
 
 def _by_frame(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, list[Row]]:
-    """A column for each frame where there are several."""
-    found = {}
+    """A column for each frame, and child frame, where there are several."""
+    found: dict[str, list[Row]] = {}
     for name, each in rows.items():
-        frames = sorted({row.frame for row in each})
-        if len(frames) == 1:
-            found[name] = each
-            continue
-        parts = {f"{name}@{frame}": [row for row in each if row.frame == frame] for frame in frames}
+        parts: dict[str, list[Row]] = defaultdict(list)
+        children = len({row.part.child for row in each}) > 1
+        frames = len({row.frame for row in each}) > 1
+        for row in each:
+            of = [row.frame] * frames + [row.part.child] * children
+            parts["@".join([name, *of])].append(row)
         found |= parts
-        others[name] = f"numbers in several frames: {', '.join(parts)}"
+        if len(parts) > 1:
+            others[name] = f"numbers in several frames: {', '.join(parts)}"
     return found
 
 
 def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> list[Episode]:
     """The parts of a recording in which no clock is set back."""
+    for column, each in rows.items():
+        unset = sum(row.stamp == 0 for row in each)
+        if unset < len(each) and max(row.stamp or 0 for row in each) > _EPOCH and unset:
+            rows[column] = [row for row in each if row.stamp != 0]
+            others[f"{column}, {unset} messages without a stamp"] = "numbers"
     stamps = {column: _stamps(each) for column, each in rows.items()}
     cuts = sorted(
         {each[at].order for column, each in rows.items() for at in _set_back(stamps[column])}
@@ -163,7 +188,13 @@ def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> 
                 others[column] = "numbers whose count changes"
             elif values:
                 times, first = np.unique(stamps[column][mine] - begin, return_index=True)
-                columns[column] = Column(np.stack(values)[first], 1e-9 * times, each[0].frame)
+                part = each[0].part
+                columns[column] = Column(
+                    np.stack(values)[first], 1e-9 * times, each[0].frame, part.axes
+                )
+                if len(first) < len(values):
+                    same = f"{column}, {len(values) - len(first)} messages with another's stamp"
+                    others[same] = "numbers"
         of = f", part {index + 1} of {len(cuts) + 1}, between which a clock was set back"
         episodes.append(Episode(name + (of if cuts else ""), columns, others))
     return episodes
@@ -171,10 +202,10 @@ def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> 
 
 def _stamps(rows: list[Row]) -> np.ndarray:
     """[S] ns: of headers, unless they are not set."""
-    headers = [None if row.part.header is None else row.part.header[1] for row in rows]
-    if None in headers or not any(headers):
+    stamps = [row.stamp for row in rows]
+    if None in stamps or not any(stamps):
         return np.array([row.recorded for row in rows])
-    return np.array(headers)
+    return np.array(stamps)
 
 
 def _set_back(stamps: np.ndarray) -> list[int]:
@@ -219,9 +250,9 @@ def _messages(path: Path, others: dict[str, str]) -> Iterator[tuple[int, list[Pa
             for connection, stamp, content in storage.messages_scan(known):
                 message = store.deserialize_cdr(content, connection.msgtype)
                 parts = list(_flattened(connection.topic, message, None, 0))
-                wide = [part for part in parts if part.values.size > _WIDEST]
-                others.update({part.name: f"{part.values.size} numbers" for part in wide})
-                parts = [part for part in parts if part.values.size <= _WIDEST]
+                others.update({part.name: part.instead for part in parts if part.instead})
+                child = _child(message)
+                parts = [part._replace(child=child) for part in parts if not part.instead]
                 if parts:
                     others.pop(connection.topic, None)
                 yield stamp, parts
@@ -253,6 +284,19 @@ def _header(message: Any) -> tuple[str, int] | None:
     return getattr(header, "frame_id", "").strip("/"), stamp.sec * 10**9 + stamp.nanosec
 
 
+def _child(message: Any) -> str:
+    """The frame whose pose a message tells; empty: none."""
+    return str(getattr(message, "child_frame_id", "")).strip("/")
+
+
+def _item(name: str, item: Any, index: int) -> str:
+    """The name of an item of a list: by its child frame, or its number, else its place."""
+    own = _child(item)
+    if not own and getattr(item, "id", None) is not None:
+        own = f"{getattr(item, 'ns', '')}{item.id}"
+    return f"{name}.{own}" if own else f"{name}[{index}]"
+
+
 def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int) -> Iterator[Part]:
     """The parts of a message; one that has numbers only, such as a point, is one."""
     fields = getattr(value, "__dataclass_fields__", None)
@@ -262,21 +306,27 @@ def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int
         if isinstance(value, bool | int | float):
             yield Part(name, np.array([float(value)]), header)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-            yield Part(name, value.astype(np.float64).ravel(), header)
+            instead = f"{value.size} numbers" if value.size > _WIDEST else ""
+            yield Part(name, value.astype(np.float64).ravel(), header, instead=instead)
         elif isinstance(value, list):
-            for index, each in enumerate(value[:_LONGEST]):
-                child = getattr(each, "child_frame_id", "").strip("/")
-                at = f"{name}.{child}" if child else f"{name}[{index}]"
+            for index, each in enumerate(value):
+                at = _item(name, each, index)
+                if at.endswith("]") and index >= _LONGEST:
+                    instead = f"items beyond the first {_LONGEST} of {len(value)}"
+                    yield Part(f"{name}[{_LONGEST}:]", np.zeros(0), instead=instead)
+                    break
                 yield from _flattened(at, each, header, depth + 1)
         return
     header = _header(value) or header
     parts = {each: getattr(value, each) for each in fields if not each.startswith("__")}
     if depth and all(isinstance(each, int | float) for each in parts.values()):
-        yield Part(name, np.array([float(each) for each in parts.values()]), header)
+        axes = "xyzw" if list(parts) == list("xyzw") else ""
+        yield Part(name, np.array([float(each) for each in parts.values()]), header, axes=axes)
         return
     labels = parts.get("name")
-    texts = isinstance(labels, list) and all(isinstance(each, str) for each in labels)
-    named = tuple(labels) if isinstance(labels, list) and texts else ()
+    named = tuple(labels) if isinstance(labels, list) else ()
+    if len(set(named)) < len(named) or not all(isinstance(each, str) for each in named):
+        named = ()  # of two with the same name, nothing tells which is which
     for each, inner in parts.items():
         if named and isinstance(inner, np.ndarray) and len(inner) == len(named):
             yield Part(f"{name}.{each}", inner.astype(np.float64), header, named)

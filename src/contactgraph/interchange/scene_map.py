@@ -32,11 +32,12 @@ class Turn:
     """The orientation of a body: an angle, a quaternion in this order, or Euler angles."""
 
     entries: Entries
-    order: str = "wxyz"
+    order: str = ""
+    """Of a quaternion; empty: that which the recording tells, else ``wxyz``."""
     euler: str = ""
     """SciPy's notation."""
-    axis: str = "z"
-    """About which a quaternion turns a body of the plane."""
+    axis: str = ""
+    """About which a quaternion turns a body of the plane; empty: ``z``."""
     turned_by: np.ndarray | None = None
     """[4] quaternion (w, x, y, z) by which what is tracked, such as a tag, is turned in the body's
     frame."""
@@ -61,7 +62,7 @@ class BodyMap:
     in_frame_of: str | None = None
     """The body in whose frame, which turns with it, this one's pose is recorded."""
     missing: float | None = None
-    """All numbers of a position that was not measured."""
+    """All recorded numbers of a position that was not measured."""
     max_speed: float | None = None
     """m/s that the body cannot have."""
     reference: np.ndarray | None = None
@@ -147,7 +148,7 @@ def read_map(name: str) -> SceneMap:
     else:
         check_file(path, _LARGEST_MAP)
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except (OSError, ValueError) as error:
             raise InvalidInputError(f"{path}: must be a text in UTF-8 ({error})") from error
     return parse_map(name, text)
@@ -165,6 +166,8 @@ def parse_map(where: str, text: str) -> SceneMap:
     check_keys(root, *keys, *_CONSTANTS)
     time = root.inner("time") if "time" in content else JsonFields(where, {})
     check_keys(time, "dt", "columns", "scale", "offset", "max_gap")
+    if "columns" not in time.content and {"scale", "offset"} & set(time.content):
+        raise InvalidInputError(f"{where}: time: offset and scale need columns")
     found = SceneMap(
         where=where,
         dimension=root.count("dimension", 2),
@@ -196,6 +199,14 @@ def _check(found: SceneMap) -> None:
                 f"{found.where}: {body.name}: bounds must have shape (2, {found.dimension}), "
                 f"found {body.bounds.shape}"
             )
+        if body.bounds is not None and not np.all(body.bounds[0] < body.bounds[1]):
+            raise InvalidInputError(
+                f"{found.where}: {body.name}: bounds must be the lower corner, then the upper one"
+            )
+        if body.orientation is not None and body.orientation.axis and found.dimension == 3:
+            raise InvalidInputError(f"{found.where}: {body.name}: axis is for bodies of the plane")
+        if body.position.constant is not None and body.missing is not None:
+            raise InvalidInputError(f"{found.where}: {body.name}: missing is for recorded numbers")
         base = body.base
         if base is not None and (base not in bodies or bodies[base].base is not None):
             key = "relative_to" if body.in_frame_of is None else "in_frame_of"
@@ -278,6 +289,8 @@ def _turn(table: JsonFields) -> Turn | None:
             raise InvalidInputError(
                 f"{entries.where}: {key} must be {' or '.join(valid[key][:3])}, found {text!r}"
             )
+    if "order" in given and "euler" in given:
+        raise InvalidInputError(f"{entries.where}: order is for quaternions, euler for angles")
     inner = table.inner("orientation")
     mount = inner.numbers("turned_by", (4,)) if "turned_by" in value else None
     if mount is not None and not mount.any():
