@@ -345,8 +345,8 @@ def imported(
     step = "[time]\n" + ("" if dt is None else f"dt = {dt!r}\n") + time if dt or time else ""
     dimension = 3 if text.startswith(SPACE) else 2
     text = f"dimension = {dimension}\n{step}\n{text.removeprefix(SPACE)}"
-    found = to_trajectories(recording, parse_map("map", text))
-    return list(found.trajectories)
+    found, _ = to_trajectories(recording, parse_map("map", text))
+    return list(found)
 
 
 def refused(recording: Recording, text: str, dt: float | None = 0.05, time: str = "") -> str:

@@ -323,7 +323,7 @@ def test_stamps_that_are_not_set_or_shared(ros: tuple[Ros, Any], tmp_path: Path)
     (one,) = imported(recording, BOX, 0.1)
     assert len(one.position) == 98 and speeds(one).max() == pytest.approx(0.3)
     scene_map = parse_map("map", f"dimension = 2\n[time]\ndt = 0.1\n{BOX}")
-    unused = " ".join(to_trajectories(recording, scene_map).unused)
+    unused = to_trajectories(recording, scene_map)[1][0]
     assert "2 messages without a stamp" in unused and "messages with another's stamp" in unused
 
 

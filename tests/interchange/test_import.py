@@ -37,7 +37,7 @@ position = ["x", "y"]
 
 
 def imported(recording: Recording, text: str) -> list[Trajectory]:
-    return list(to_trajectories(recording, parse_map("map", text)).trajectories)
+    return list(to_trajectories(recording, parse_map("map", text))[0])
 
 
 def table(path: Path, text: str) -> Recording:
@@ -50,9 +50,8 @@ def test_fetch_push_by_the_shipped_map(tmp_path: Path) -> None:
     first = recording.episodes[0]
     assert recording.environment == "FetchPush-v4"
     assert first.others == {"infos/text": "text of variable length in shape (12,)"}
-    found = to_trajectories(recording, read_map("fetch-push"))
-    assert found.resampled == 0
-    one = found.trajectories[0]
+    (one, *_), notes = to_trajectories(recording, read_map("fetch-push"))
+    assert not any("resampled" in note for note in notes)
     raw = first.columns["observations/observation"].values
     np.testing.assert_array_equal(one.position[:, 0], raw[:, :3])
     np.testing.assert_array_equal(one.position[:, 1], raw[:, 3:6])
@@ -74,7 +73,7 @@ def test_corners_of_the_t_tell_its_pose(tmp_path: Path) -> None:
     recording = read_lerobot(lerobot_folder(tmp_path / "pusht"))
     assert recording.dt == pytest.approx(0.1)
     assert recording.episodes[0].others == {"observation.image": "video of shape [3, 96, 96]"}
-    one = to_trajectories(recording, read_map("pusht")).trajectories[0]
+    one = to_trajectories(recording, read_map("pusht"))[0][0]
     agent, _, pose, action = turning_t()
     np.testing.assert_allclose(one.position[:, 0], 1e-3 * agent, atol=1e-7)
     sine, cosine = np.sin(pose[:, 2]), np.cos(pose[:, 2])
@@ -152,10 +151,10 @@ def test_a_long_gap_ends_a_trajectory(tmp_path: Path) -> None:
     rows = "\n".join(f"{t:.3f},{t},0" for t in times)
     recording = table(tmp_path / "gap.csv", f"time,x,y\n{rows}\n")
     text = PLANE.replace("actuated = true", "")
-    found = to_trajectories(recording, parse_map("map", text))
-    assert [each.steps for each in found.trajectories] == [9, 9]
-    assert found.resampled == 1
-    np.testing.assert_allclose(found.trajectories[1].position[0, 0], [3.0, 0.0])
+    found, notes = to_trajectories(recording, parse_map("map", text))
+    assert [each.steps for each in found] == [9, 9]
+    assert notes[0].startswith("1 episodes with gaps or uneven stamps were resampled")
+    np.testing.assert_allclose(found[1].position[0, 0], [3.0, 0.0])
     whole = imported(recording, text.replace("[time]", "[time]\nmax_gap = 5"))
     assert [each.steps for each in whole] == [39]
     assert whole[0].tracked.sum() == 21
@@ -166,10 +165,11 @@ def test_a_trajectory_ends_where_a_body_leaves_its_bounds(tmp_path: Path) -> Non
     recording = table(tmp_path / "fall.csv", f"time,x,y\n{rows}")
     bounds = '"x", "y"]\nbounds = [[0, -1], [4.5, 1]]'
     text = PLANE.replace("actuated = true", "").replace('"x", "y"]', bounds)
-    found = to_trajectories(recording, parse_map("map", text))
-    (one,) = found.trajectories
+    found, notes = to_trajectories(recording, parse_map("map", text))
+    (one,) = found
     np.testing.assert_array_equal(one.position[:, 0, 0], np.arange(5.0))
-    assert (one.steps, len(one.control), found.left_bounds) == (4, 4, 1)
+    assert (one.steps, len(one.control)) == (4, 4)
+    assert "1 end, or are left out, where a body leaves its bounds" in notes
 
 
 def test_scale_offset_relative_reference_and_stored_velocity(tmp_path: Path) -> None:
@@ -306,3 +306,9 @@ def test_faults_of_a_table(text: str, message: str, tmp_path: Path) -> None:
         imported(table(tmp_path / "a.csv", text), PLANE)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_shipped_map_counts_beside_a_folder_of_its_name(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "pusht").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert read_map("pusht").dimension == 2

@@ -35,7 +35,7 @@ def test_minari_writes_and_reads_fetch_push(
             states[-1].append(state_after(task.mapped(observation), states[-1][-1]))
     environment.create_dataset(dataset_id="fetch-push/random-v0")
     folder = tmp_path / "fetch-push" / "random-v0"
-    found = to_trajectories(read_minari(folder), read_map("fetch-push")).trajectories
+    found, _ = to_trajectories(read_minari(folder), read_map("fetch-push"))
     task.reset(seed=0)
     for trajectory, recorded in zip(found, states, strict=True):
         for name in ("position", "velocity", "orientation", "angular_velocity"):

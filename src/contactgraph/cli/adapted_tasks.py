@@ -1,10 +1,12 @@
 """The table of the tasks that are other people's environments."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 from contactgraph.cli.task_types import KnownTask
 from contactgraph.envs import fetch
+from contactgraph.envs.contract import Policy
 from contactgraph.envs.pusht import (
     pusht_expert,
     pusht_explorer,
@@ -23,8 +25,26 @@ _PUSHT = KnownTask(
     starts=64,
     max_force=None,
     summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
-    title="A contact graph that pushes a T",
 )
+
+
+def _fetch(
+    name: str, policies: Sequence[Callable[[], Policy]], max_force: float | None, summary: str
+) -> KnownTask:
+    """``policies``: expert, fixed start and explorer."""
+    expert, fixed_start, explorer = policies
+    return KnownTask(
+        partial(fetch.fetch_task, name),
+        expert,
+        fixed_start,
+        fixed_start,
+        explorer,
+        horizon=30,
+        starts=64,
+        max_force=max_force,
+        summary=summary,
+    )
+
 
 ADAPTED_TASKS = {
     "pusht": _PUSHT,
@@ -32,42 +52,23 @@ ADAPTED_TASKS = {
         _PUSHT,
         make=pusht_pose_task,
         summary="as pusht, with its own success: the T covers 95 % of its outline at the goal",
-        title="A contact graph that pushes a T to a pose",
     ),
-    "fetch-push": KnownTask(
-        partial(fetch.fetch_task, "fetch-push"),
-        fetch.push_expert,
-        fetch.push_fixed_start,
-        fetch.push_fixed_start,
-        fetch.push_explorer,
-        horizon=30,
-        starts=64,
-        max_force=fetch.MAX_DISPLACEMENT,
-        summary="an arm pushes a block to a goal (gymnasium-robotics, MuJoCo)",
-        title="A contact graph that pushes a block with an arm",
+    "fetch-push": _fetch(
+        "fetch-push",
+        (fetch.push_expert, fetch.push_fixed_start, fetch.push_explorer),
+        fetch.MAX_DISPLACEMENT,
+        "an arm pushes a block to a goal (gymnasium-robotics, MuJoCo)",
     ),
-    "fetch-slide": KnownTask(
-        partial(fetch.fetch_task, "fetch-slide"),
-        fetch.slide_expert,
-        fetch.slide_fixed_start,
-        fetch.slide_fixed_start,
-        fetch.slide_explorer,
-        horizon=30,
-        starts=64,
-        max_force=fetch.MAX_DISPLACEMENT,
-        summary="an arm strikes a puck that slides to a goal beyond its reach (MuJoCo)",
-        title="A contact graph that strikes a puck",
+    "fetch-slide": _fetch(
+        "fetch-slide",
+        (fetch.slide_expert, fetch.slide_fixed_start, fetch.slide_explorer),
+        fetch.MAX_DISPLACEMENT,
+        "an arm strikes a puck that slides to a goal beyond its reach (MuJoCo)",
     ),
-    "fetch-pick-and-place": KnownTask(
-        partial(fetch.fetch_task, "fetch-pick-and-place"),
-        fetch.pick_expert,
-        fetch.pick_fixed_start,
-        fetch.pick_fixed_start,
-        fetch.pick_explorer,
-        horizon=30,
-        starts=64,
-        max_force=None,
-        summary="an arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)",
-        title="A contact graph that grasps with fingers",
+    "fetch-pick-and-place": _fetch(
+        "fetch-pick-and-place",
+        (fetch.pick_expert, fetch.pick_fixed_start, fetch.pick_explorer),
+        None,
+        "an arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)",
     ),
 }

@@ -1,8 +1,10 @@
 """The table of the tasks in which geometry does not tell holding."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
-from contactgraph.cli.task_types import KnownTask, TestCondition
+from contactgraph.cli.task_types import AS_TRAINED, THREE_DISTRACTORS, KnownTask
 from contactgraph.envs import (
     CarryExpert,
     DelayTask,
@@ -13,49 +15,42 @@ from contactgraph.envs import (
     SuctionExpert,
     SuctionTask,
 )
+from contactgraph.envs.contract import Policy, Task
 
-_CONDITIONS = (
-    TestCondition("as-trained", "as trained", True),
-    TestCondition("3-distractors", "3 distractors", False, distractors=3),
-)
+
+def _task(make: Callable[..., Task], expert: Callable[..., Policy], summary: str) -> KnownTask:
+    return KnownTask(
+        make,
+        expert,
+        partial(expert, noise=0.0),
+        explorer=HandlingPolicy,
+        summary=summary,
+        conditions=(AS_TRAINED, THREE_DISTRACTORS),
+    )
 
 
 HIDDEN_CONTACT_TASKS = {
-    "suction": KnownTask(
-        SuctionTask,
-        SuctionExpert,
-        partial(SuctionExpert, noise=0.0),
-        explorer=HandlingPolicy,
+    "suction": replace(
+        _task(
+            SuctionTask,
+            SuctionExpert,
+            "a suction gripper takes an object to a goal and puts it down",
+        ),
         max_force=None,
-        summary="a suction gripper takes an object to a goal and puts it down",
-        title="A contact graph that knows when a gripper sucks",
-        conditions=_CONDITIONS,
     ),
-    "release": KnownTask(
+    "release": _task(
         ReleaseTask,
         CarryExpert,
-        partial(CarryExpert, noise=0.0),
-        explorer=HandlingPolicy,
-        summary="a gripper that loses its hold after a hidden time takes an object to a goal",
-        title="A contact graph that notices a lost hold",
-        conditions=_CONDITIONS,
+        "a gripper that loses its hold after a hidden time takes an object to a goal",
     ),
-    "delay": KnownTask(
+    "delay": _task(
         DelayTask,
         CarryExpert,
-        partial(CarryExpert, noise=0.0),
-        explorer=HandlingPolicy,
-        summary="a gripper that holds after 0.4 s of touching takes an object to a goal",
-        title="A contact graph that waits for a hold",
-        conditions=_CONDITIONS,
+        "a gripper that holds after 0.4 s of touching takes an object to a goal",
     ),
-    "sticky": KnownTask(
+    "sticky": _task(
         StickyTask,
         StickyExpert,
-        partial(StickyExpert, noise=0.0),
-        explorer=HandlingPolicy,
-        summary="a gripper finds an object that holds among look-alikes, and takes it to a goal",
-        title="A contact graph that finds out which objects hold",
-        conditions=_CONDITIONS,
+        "a gripper finds an object that holds among look-alikes, and takes it to a goal",
     ),
 }

@@ -7,8 +7,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 FORMATS = ("minari", "lerobot", "csv", "rosbag", "robomimic")
-_SHOWN = 12
-"""Columns without a use that are named."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,8 @@ class Import:
             raise InvalidInputError(f"{self.out}: must not be the recording or the map")
         scene_map = read_map(self.map)
         recording = read(self.source)
-        found = to_trajectories(recording, scene_map)
-        dataset = Dataset(found.trajectories, {"source": self.format, "map": Path(self.map).name})
+        trajectories, notes = to_trajectories(recording, scene_map)
+        dataset = Dataset(trajectories, {"source": self.format, "map": Path(self.map).name})
         warning = velocity_warning(dataset)
         if warning is not None:
             hint = "leave velocity out of the map to derive them from positions"
@@ -85,21 +83,8 @@ class Import:
         names = ", ".join(dataset.trajectories[0].scene.node_name)
         print(f"{self.out}: {len(dataset)} trajectories of {names}")
         print(f"  {steps} steps of {dataset.dt:g} s, of {len(recording.episodes)} episodes")
-        for each in motions:
+        for each in (*motions, *notes):
             print(f"  {each}")
-        if found.unused:
-            more = f", … ({len(found.unused)} in all)" if len(found.unused) > _SHOWN else ""
-            print(f"  not used: {', '.join(found.unused[:_SHOWN])}{more}")
-        if found.lost:
-            print(f"  left out, without a step in which all is known: {', '.join(found.lost)}")
-        if found.left_bounds:
-            print(f"  {found.left_bounds} end, or are left out, where a body leaves its bounds")
-        if found.resampled:
-            print(
-                f"  {found.resampled} episodes with gaps or uneven stamps were resampled, and cut "
-                f"at gaps of more than {scene_map.max_gap:g} s; {found.left_out:.3g} s are left "
-                "out, in which not all bodies and controls are known"
-            )
 
 
 @dataclass(frozen=True)

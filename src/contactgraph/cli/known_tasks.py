@@ -5,7 +5,7 @@ from functools import partial
 
 from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
 from contactgraph.cli.hidden_contact_tasks import HIDDEN_CONTACT_TASKS
-from contactgraph.cli.task_types import KnownTask, TestCondition
+from contactgraph.cli.task_types import AS_TRAINED, THREE_DISTRACTORS, KnownTask, TestCondition
 from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
@@ -46,9 +46,8 @@ TASKS = {
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper picks up an object and takes it to a goal",
-        title="A contact graph that picks things up",
         conditions=(
-            TestCondition("as-trained", "as trained", True),
+            AS_TRAINED,
             TestCondition("3-distractors", "3 distractors", False, distractors=3, extra=True),
             TestCondition("10-distractors", "10 distractors", False, distractors=10),
         ),
@@ -58,7 +57,6 @@ TASKS = {
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper picks up objects in turn and takes them to a goal",
-        title="A contact graph that picks up one thing after another",
         conditions=(
             TestCondition("as-trained", "as trained, 2 picks", True),
             TestCondition("5-picks", "5 picks", False, objects=5),
@@ -69,9 +67,8 @@ TASKS = {
         DoorExpert,
         partial(DoorExpert, noise=0.0),
         summary="a gripper opens a hinged door to an angle",
-        title="A contact graph that opens doors",
         conditions=(
-            TestCondition("as-trained", "as trained", True),
+            AS_TRAINED,
             TestCondition("10-doors", "10 more doors", False, distractors=10),
         ),
     ),
@@ -85,9 +82,8 @@ TASKS = {
         starts=64,
         passive=True,
         summary="a cue strikes a disc to a goal, on a table with walls, pillars and other discs",
-        title="A contact graph that plays billiards",
         conditions=(
-            TestCondition("as-trained", "as trained", True),
+            AS_TRAINED,
             TestCondition("6-objects", "6 objects", False, objects=6),
         ),
     ),
@@ -99,7 +95,6 @@ TASKS = {
         PickupExpert,
         partial(PickupExpert, noise=0.0),
         summary="a gripper drags two links, joined by a hinge, to a goal",
-        title="A contact graph that drags a chain",
     ),
     "unknown-mass": KnownTask(
         UnknownMassTask,
@@ -110,11 +105,7 @@ TASKS = {
         horizon=30,
         starts=64,
         summary="a pusher moves a block of unknown mass to a goal",
-        title="A contact graph that pushes blocks of unknown mass",
-        conditions=(
-            TestCondition("as-trained", "as trained", True),
-            TestCondition("3-distractors", "3 distractors", False, distractors=3),
-        ),
+        conditions=(AS_TRAINED, THREE_DISTRACTORS),
     ),
     "springs": _passive(SpringsTask, "bodies on springs that nothing shows; nothing is driven"),
     **HIDDEN_CONTACT_TASKS,

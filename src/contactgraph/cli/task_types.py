@@ -54,6 +54,8 @@ class TestCondition:
         return (*distractors, *objects)
 
 
+AS_TRAINED = TestCondition("as-trained", "as trained", True)
+THREE_DISTRACTORS = TestCondition("3-distractors", "3 distractors", False, distractors=3)
 TaskFactory = Callable[[], Task]
 
 
@@ -80,8 +82,6 @@ class KnownTask:
     passive: bool = False
     """Whether it moves without a control, or can."""
     summary: str = ""
-    """One line for the list of tasks."""
-    title: str = "A contact graph learned from recorded trajectories"
-    """Title of the report page."""
-    conditions: tuple[TestCondition, ...] = (TestCondition("as-trained", "as trained", True),)
+    """One line for the list of tasks and the title of a report."""
+    conditions: tuple[TestCondition, ...] = (AS_TRAINED,)
     """Test conditions: the one in distribution first, the hardest last."""

@@ -99,7 +99,8 @@ class QuadraticCost(eqx.Module):
         if not np.all(weight >= 0.0):
             raise InvalidInputError(f"terminal_weight must be at least 0, found {weight}")
         slack = _ROUNDING * np.max(np.abs(Q), initial=np.finfo(np.float32).tiny)
-        if not _is_definite(Q + slack * np.eye(size)):
+        weighed = np.flatnonzero(np.any(Q != 0.0, axis=tuple(range(Q.ndim - 1))))  # a small part
+        if not _is_definite(Q[..., weighed[:, None], weighed] + slack * np.eye(len(weighed))):
             raise InvalidInputError("Q must be positive semi-definite: this cost has no minimum")
         if not _is_definite(self.R):
             raise InvalidInputError("R must be positive definite: each control must cost something")

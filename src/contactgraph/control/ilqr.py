@@ -139,7 +139,7 @@ class ILQR(eqx.Module):
 
         if isinstance(begin, AffinePolicy):
             trial = AffinePolicy(block_gains(begin.K, ids), begin.k)
-            shape = jax.eval_shape(lambda: follow(model, start, nodes, trial, self.limits, ids))
+            shape = eqx.filter_eval_shape(follow, model, start, nodes, trial, self.limits, ids)
             begin = _Search.of(trial, shape, part.R.dtype), None
             if self.swept_dt is not None:
                 empty = SweptBounds.empty(self.iterations, self.horizon, state.position)

@@ -1,9 +1,9 @@
 """Controllers in closed loop with a task: a model under MPC, or a scripted policy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import cast
+from typing import Any, cast
 
 import gymnasium
 import jax.numpy as jnp
@@ -55,90 +55,35 @@ def control_task(
     episodes: int,
     seed: int,
     *,
-    cost: SceneCost | None = None,
-    horizon: int = 20,
-    iterations: int = 5,
-    starts: int = 0,
-    routes: int = 0,
-    segment: int = 0,
-    clearance: float | None = None,
-    replan_every: int = 1,
-    deadline: float | None = None,
-    sensor: ContactSensor | None = None,
-    faults: SensorFaults = _EXACT,
-    measured: bool = True,
-    noise: ObservationNoise = _NOISELESS,
-    motion_noise: MotionNoise | None = None,
-    told_masses: bool = False,
-    node_capacity: int = 0,
     on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
+    **options: Any,
 ) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
     """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
 
-    ``cost`` None is the task's own; the limits of each component of the control are those of the
-    task's action space. Episode ``i`` has the seed `collect` would give it. An episode that the
-    task ends early is a failure unless the task calls it a success. ``horizon``, ``iterations``
-    and ``replan_every`` are `ILQR`'s and `MPC`'s, ``starts`` is `SearchILQR`'s, ``routes``
-    `RouteILQR`'s and ``segment`` `RecedingILQR`'s (0: none). ``clearance`` [m] adds an
-    `AvoidingCost` with this gap to bodies that the task does not name. ``deadline`` is in seconds;
-    ``node_capacity`` is `MPCPolicy`'s. ``on_episode`` is called after each episode with the
-    trajectory and the controller's record.
+    ``options`` are those of `mpc_policy`. Episode ``i`` has the seed `collect` would give it. An
+    episode that the task ends early is a failure unless the task calls it a success. ``on_episode``
+    is called after each episode with the trajectory and the controller's record.
 
-    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
-    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
-    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
-    ``motion_noise`` is `MPC`'s: with it, beliefs are also corrected by the observed motion, to
-    which ``noise`` is added. With ``told_masses`` bodies weigh for it what the scene tells.
-
-    Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
-    control, a number is out of range, or there are more than one of switches, ``starts``,
-    ``routes`` and ``segment``.
+    Raises `InvalidInputError` as `mpc_policy`, and where a number is out of range.
     """
     seeds = episode_seeds(episodes, seed)
     task, observation = _first_scene(task_factory, seeds[0])
-    policy = mpc_policy(
-        model,
-        task,
-        observation,
-        cost=cost,
-        horizon=horizon,
-        iterations=iterations,
-        starts=starts,
-        routes=routes,
-        segment=segment,
-        clearance=clearance,
-        replan_every=replan_every,
-        deadline=deadline,
-        sensor=sensor,
-        faults=faults,
-        measured=measured,
-        noise=noise,
-        motion_noise=motion_noise,
-        told_masses=told_masses,
-        node_capacity=node_capacity,
-    )
-
-    trajectories: list[Trajectory] = []
-    succeeded: list[bool] = []
-    chains: list[tuple[int, ...]] = []
+    policy = mpc_policy(model, task, observation, **options)
     plan_ms: list[np.ndarray] = []
     planned, estimated = PlanTrackingError(), EstimatedContacts()
-    for episode_seed in seeds:
-        trajectories.append(run_episode(task, policy, episode_seed))
-        succeeded.append(task.success())
-        chains.append(task.cost_terms().chain)
-        record = policy.record()
+
+    def judge(trajectory: Trajectory) -> None:
+        nonlocal planned, estimated
+        record, labelled = policy.record(), _labelled(trajectory)
         plan_ms.append(record.plan_ms)
-        labelled = _labelled(trajectories[-1])
         planned += plan_tracking_error(labelled, record)
         estimated += estimated_contacts(labelled, record.estimated)
         if on_episode is not None:
-            on_episode(trajectories[-1], record)
+            on_episode(trajectory, record)
+
+    done = _run(policy, task, seeds, judge)
     times = np.concatenate(plan_ms)
-    metrics = closed_loop_metrics(
-        trajectories, succeeded, chains, seed, times, planned, estimated, seeds
-    )
-    return metrics, trajectories
+    return closed_loop_metrics(*done, seed, times, planned, estimated, seeds), done[0]
 
 
 def switches_of(scene: Scene) -> tuple[int, ...]:
@@ -170,7 +115,21 @@ def mpc_policy(
 ) -> MPCPolicy:
     """The controller of `control_task`, for a task whose reset gave ``observation``.
 
-    Arguments and errors are those of `control_task`.
+    ``cost`` None is the task's own; the limits of each component of the control are those of the
+    task's action space. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s and `MPC`'s,
+    ``starts`` is `SearchILQR`'s, ``routes`` `RouteILQR`'s and ``segment`` `RecedingILQR`'s (0:
+    none). ``clearance`` [m] adds an `AvoidingCost` with this gap to bodies that the task does not
+    name. ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s.
+
+    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
+    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
+    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
+    ``motion_noise`` is `MPC`'s: with it, beliefs are also corrected by the observed motion, to
+    which ``noise`` is added. With ``told_masses`` bodies weigh for it what the scene tells.
+
+    Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
+    control, a number is out of range, or there are more than one of switches, ``starts``,
+    ``routes`` and ``segment``.
     """
     limits = _limits(task)
     control_size = len(limits.lower)
@@ -220,7 +179,12 @@ def mpc_policy(
     scene_cost = own_cost if cost is None else cost
     if clearance is not None:
         scene_cost = AvoidingCost(scene_cost, clearance)
-    _check_cost(scene_cost, task, control_size)
+    size = scene_cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    if size != control_size:  # before compilation
+        raise InvalidInputError(
+            f"the cost is for control size U {size}, but the task has {control_size}; they must "
+            "agree"
+        )
     nodes_of = partial(nodes_with_told_masses, model) if told_masses else scene_nodes
     return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)
 
@@ -240,17 +204,21 @@ def control_by_policy(
     """
     seeds = episode_seeds(episodes, seed)
     task, _ = _first_scene(task_factory, seeds[0])
-    trajectories: list[Trajectory] = []
-    succeeded: list[bool] = []
-    chains: list[tuple[int, ...]] = []
-    for episode_seed in seeds:
-        trajectories.append(run_episode(task, policy, episode_seed))
+    done = _run(policy, task, seeds, on_episode or (lambda trajectory: None))
+    return closed_loop_metrics(*done, seed, scene_seeds=seeds), done[0]
+
+
+def _run(
+    policy: Policy, task: Task, seeds: Sequence[int], after: Callable[[Trajectory], None]
+) -> tuple[list[Trajectory], list[bool], list[tuple[int, ...]]]:
+    """An episode for each seed: what happened, whether it succeeded, and the chain of its cost."""
+    trajectories, succeeded, chains = [], [], []
+    for seed in seeds:
+        trajectories.append(run_episode(task, policy, seed))
         succeeded.append(task.success())
         chains.append(task.cost_terms().chain)
-        if on_episode is not None:
-            on_episode(trajectories[-1])
-    metrics = closed_loop_metrics(trajectories, succeeded, chains, seed, scene_seeds=seeds)
-    return metrics, trajectories
+        after(trajectories[-1])
+    return trajectories, succeeded, chains
 
 
 def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, Observation]:
@@ -273,13 +241,3 @@ def _labelled(trajectory: Trajectory) -> Trajectory:
     """The trajectory with the contacts that the policy's sensor reports: see `MPCPolicy`."""
     holding = trajectory.holding
     return trajectory if holding is None else replace(trajectory, contact=holding)
-
-
-def _check_cost(cost: SceneCost, task: Task, control_size: int) -> None:
-    """Raises `InvalidInputError`, before compilation, where cost and task do not fit."""
-    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
-    if size != control_size:
-        raise InvalidInputError(
-            f"the cost is for control size U {size}, but the task has {control_size}; they must "
-            "agree"
-        )

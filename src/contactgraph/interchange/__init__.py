@@ -1,6 +1,5 @@
 """Recordings of other formats: read by an import map, and written from datasets."""
 
-from contactgraph.interchange.conversion import Conversion as Conversion
 from contactgraph.interchange.conversion import to_trajectories as to_trajectories
 from contactgraph.interchange.recording import Column as Column
 from contactgraph.interchange.recording import Episode as Episode

@@ -1,6 +1,6 @@
 """Recordings to trajectories, by an import map."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,29 +22,18 @@ from contactgraph.interchange.scene_map import BodyMap, PairMap, SceneMap
 _UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 _SAME_STEP = 0.1
 """Largest relative difference of times from steps in another unit."""
+_SHOWN = 12
+"""Columns without a use that are named."""
 State = dict[str, np.ndarray]
 """Of all bodies at one step, [N, W] each, by the names of `STATE`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Conversion:
-    """The trajectories of a recording."""
-
-    trajectories: tuple[Trajectory, ...]
-    resampled: int
-    """Episodes that had gaps or uneven stamps."""
-    left_bounds: int
-    """Trajectories that end, or would begin, where a body is out of its bounds."""
-    unused: tuple[str, ...]
-    """What is in the recording, and not in the map."""
-    left_out: float
-    """s of the recording in which not all bodies and controls were known."""
-    lost: tuple[str, ...]
-    """Episodes without a step in which all are known."""
-
-
-def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
-    """The trajectories of a recording, whose columns the map describes.
+@np.errstate(over="ignore", invalid="ignore")  # what becomes infinite is refused
+def to_trajectories(
+    recording: Recording, scene_map: SceneMap
+) -> tuple[tuple[Trajectory, ...], list[str]]:
+    """The trajectories of a recording, whose columns the map describes; and for people, a line for
+    each thing that was left out or resampled.
 
     Raises `InvalidInputError`, which names the episode and the key of the map, where they do not
     fit.
@@ -52,8 +41,8 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
     dt = scene_map.dt or recording.dt
     found: list[Trajectory] = []
     lost: list[str] = []
-    resampled = left = 0
-    left_out = 0.0
+    resampled: list[float] = []
+    left = 0
     for episode in recording.episodes:
         try:
             if dt is None:
@@ -68,8 +57,7 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
         except InvalidInputError as error:
             raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
         found += [each for each in kept if each is not None]
-        resampled += seconds is not None
-        left_out += seconds or 0.0
+        resampled += [] if seconds is None else [seconds]
         lost += [] if parts else [episode.name]
         left += sum(each is not part for each, part in zip(kept, parts, strict=True))
     if not found:
@@ -80,8 +68,17 @@ def to_trajectories(recording: Recording, scene_map: SceneMap) -> Conversion:
         name for each in recording.episodes for name in (*each.columns, *each.others)
     )
     used = set.union(*(each.used for each in recording.episodes))
-    unused = tuple(name for name in there if name not in used)
-    return Conversion(tuple(found), resampled, left, unused, left_out, tuple(lost))
+    unused = [name for name in there if name not in used]
+    more = f", … ({len(unused)} in all)" if len(unused) > _SHOWN else ""
+    notes = {
+        f"not used: {', '.join(unused[:_SHOWN])}{more}": unused,
+        f"left out, without a step in which all is known: {', '.join(lost)}": lost,
+        f"{left} end, or are left out, where a body leaves its bounds": left,
+        f"{len(resampled)} episodes with gaps or uneven stamps were resampled, and cut at gaps of "
+        f"more than {scene_map.max_gap:g} s; {sum(resampled):.3g} s are left out, in which not all "
+        "bodies and controls are known": resampled,
+    }
+    return tuple(found), [note for note, those in notes.items() if those]
 
 
 def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
@@ -100,7 +97,13 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
     states = max(map(len, moving))
     times = next(each for each in moving if len(each) == states)
     _check_counts(mapped)
-    _check_units(mapped, times)
+    apart = float(np.median(np.diff(times))) if states > 1 else 0.0
+    for unit, scale in _UNITS.items():
+        if abs(apart * scale / mapped.dt - 1.0) < _SAME_STEP:
+            raise InvalidInputError(
+                f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
+                f"s in {unit}: [time] columns with scale = {scale:g}"
+            )
     even = (
         states > 1
         and all(np.array_equal(each, times) for each in moving)
@@ -113,7 +116,6 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
     )
     if even:
         return [_trajectory(mapped, tracks, controls, pairs, None)], None
-    apart = float(np.median(np.diff(times))) if states > 1 else 0.0
     if apart > mapped.map.max_gap:
         raise InvalidInputError(
             f"rows are {apart:g} s apart, but max_gap is {mapped.map.max_gap:g} s; times in ms or "
@@ -168,17 +170,6 @@ def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
             f"{scene_map.where}: positions must be in one frame, found {found}; "
             'in_frame_of = "BODY" is for a pose in the frame of another body'
         )
-
-
-def _check_units(mapped: MappedEpisode, times: np.ndarray) -> None:
-    """Refuses times that are not in s."""
-    apart = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    for unit, scale in _UNITS.items():
-        if abs(apart * scale / mapped.dt - 1.0) < _SAME_STEP:
-            raise InvalidInputError(
-                f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
-                f"s in {unit}: [time] columns with scale = {scale:g}"
-            )
 
 
 def _check_speeds(trajectory: Trajectory, scene_map: SceneMap) -> None:
@@ -295,12 +286,6 @@ def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[st
     return {name: np.stack([each[name] for each in given], axis=1) for name in names}
 
 
-def _base(scene_map: SceneMap) -> list[int | None]:
-    """For each body, the one from which its position counts."""
-    names = [body.name for body in scene_map.bodies]
-    return [None if body.base is None else names.index(body.base) for body in scene_map.bodies]
-
-
 def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
     """Poses [S, W] of each body in the world, in the place of those that the map describes."""
     dimension = scene_map.dimension
@@ -308,10 +293,11 @@ def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
         for each in given:
             unknown = np.full((len(each["position"]), 1 if dimension == 2 else 4), np.nan)
             each["orientation"] = resampling.continued(each.get("orientation", unknown))
-    for body, each, of in zip(scene_map.bodies, given, _base(scene_map), strict=True):
-        if of is None:
+    by_name = _by_name(scene_map, given)
+    for body, each in zip(scene_map.bodies, given, strict=True):
+        if body.base is None:
             continue
-        offset, base = each["position"], given[of]
+        offset, base = each["position"], by_name[body.base]
         if body.in_frame_of is not None:
             offset = _turned(body, "in_frame_of", base, offset)
             each["orientation"] = _composed(base["orientation"], each["orientation"])
@@ -327,10 +313,14 @@ def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tu
     """Adds the velocities [S, W] that are not given or known; the names of what there is then."""
     bodies, dt = mapped.map.bodies, mapped.dt
     turns = "orientation" in given[0]
-    for body, each in zip(bodies, given, strict=True):
-        derived = _difference(each["position"], dt)
-        known = np.isfinite(each.get("velocity", np.full_like(derived, np.nan))).all(axis=1)
-        each["velocity"] = np.where(known[:, None], each.get("velocity", derived), derived)
+    by_name = _by_name(mapped.map, given)
+    for body in sorted(bodies, key=lambda body: body.base is not None):
+        each, recorded = by_name[body.name], by_name[body.name].get("velocity")
+        each["velocity"] = _difference(each["position"], dt)
+        if recorded is not None:
+            recorded = recorded + (0.0 if body.base is None else by_name[body.base]["velocity"])
+            known = np.isfinite(recorded).all(axis=1, keepdims=True)
+            each["velocity"] = np.where(known, recorded, each["velocity"])
         if turns and body.angular_velocity is None:
             turn = each["orientation"]
             each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
@@ -342,10 +332,11 @@ def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tu
             first = np.flatnonzero(known & np.isnan(rate[:, 0]))
             later = np.minimum(first + 1, len(rate) - 1)
             rate[first] = np.nan_to_num(rate[later])  # one that is known alone has none
-    for body, each, of in zip(bodies, given, _base(mapped.map), strict=True):
-        if body.velocity is not None and of is not None:
-            each["velocity"] = each["velocity"] + given[of]["velocity"]
     return STATE if turns else STATE[:2]
+
+
+def _by_name(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+    return dict(zip((body.name for body in scene_map.bodies), given, strict=True))
 
 
 def _difference(position: np.ndarray, dt: float) -> np.ndarray:

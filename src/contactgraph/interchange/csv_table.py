@@ -10,10 +10,10 @@ import csv
 import json
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
-from itertools import chain, takewhile
+from itertools import chain, islice, takewhile, zip_longest
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -31,16 +31,74 @@ from contactgraph.interchange.recording import (
 _LARGEST_FILE = 2**31
 _MOST_COLUMNS = 10_000
 _HEADER_ROWS = 20
-_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 _TIME = re.compile(
     r"t|(?i:time(?:stamp)?|elapsed|seconds)(?:[ _]*[(\[]?(?P<unit>s|sec|seconds|ms|us|ns)[)\]]?)?"
 )
-_UNIT = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FRAMES = ("frame", "frame_index", "frame_number")
 _EPISODE = "episode"
-_AXIS = re.compile(r"(?i:.*[._ ]q?|q)(?P<axis>[wxyzWXYZ])")
+_QUATERNION_PART = re.compile(r"(?i:(?:.*[._ ]q?|q)[wxyz])")
 _NEXUS = ("Trajectories", "Segments", "Joints", "Devices", "Model Outputs")
-_NEXUS_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "deg": np.pi / 180.0, "rad": 1.0}
+_MOTIVE_UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
+_SI = {"m": 1.0, "cm": 0.01, "mm": 0.001, "deg": np.pi / 180.0, "rad": 1.0, "1": 1.0}
+_Labels = list[tuple[str, str, str]]  # names, axes and units of columns
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The rows of a file from some row on, and whether numbers may have a comma for a point."""
+
+    path: Path
+    rows: Iterator[list[str]]
+    decimal_comma: bool
+
+    def error(self, reason: str) -> InvalidInputError:
+        return InvalidInputError(f"{self.path}: {reason}")
+
+    def read(
+        self, width: int, kept: Sequence[int] = ()
+    ) -> tuple[np.ndarray, dict[int, str], dict[int, list[str]]]:
+        """Numbers [S, W], NaN for empty fields and texts; the first text of each column that has
+        one; and all fields of the columns ``kept``."""
+        if width > _MOST_COLUMNS:
+            raise self.error(f"must have at most {_MOST_COLUMNS} columns")
+        found: list[np.ndarray] = []
+        texts: dict[int, str] = {}
+        fields: dict[int, list[str]] = {index: [] for index in kept}
+        marks: set[str] = set()
+        end = 0
+        for number, row in enumerate(self.rows, start=1):
+            if not row or (kept and not any(row)):
+                continue
+            while len(row) > width and not row[-1].strip():
+                row.pop()
+            if len(row) != width:
+                raise self.error(f"row {number} must have {width} fields, found {len(row)}")
+            check_count(str(self.path), len(found) * width)
+            values = [_number(each, self.decimal_comma) for each in row]
+            found.append(np.array(values, dtype=np.float64))
+            for index, each in enumerate(row):
+                if values[index] is None:
+                    texts.setdefault(index, f"{each[:30]!r} in row {number}")
+                elif self.decimal_comma:
+                    marks |= {mark for mark in ".," if mark in each}
+            for index in kept:
+                fields[index].append(row[index])
+            end = len(found) if any(row) else end
+        if not end:
+            raise self.error("must have rows of numbers, found none")
+        if len(marks) > 1:
+            raise self.error("numbers must all have a decimal point, or all a comma")
+        return np.stack(found[:end]), texts, fields
+
+
+def _number(text: str, decimal_comma: bool = True) -> float | None:
+    """NaN for an empty field, None for a text."""
+    try:
+        text = text.replace(",", ".") if decimal_comma else text
+        return float(text.replace("_", "text")) if text.strip() else np.nan  # 1_5 is a text
+    except ValueError:
+        return None
 
 
 def read_csv(source: Path) -> Recording:
@@ -58,16 +116,7 @@ def read_csv(source: Path) -> Recording:
     for path in files_of(source, (".csv",)):
         check_file(path, _LARGEST_FILE)
         try:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                first, delimiter, comment = _first_line(file)
-                rows = csv.reader(file, delimiter=delimiter)
-                if first.lstrip('"').startswith("Format Version"):
-                    found, rate = _motive(path, rows, delimiter != ",")
-                elif first.strip(f'"\r\n{delimiter}') in _NEXUS:
-                    found, rate = _nexus(path, rows, delimiter != ",")
-                else:
-                    names, below = _names(path, rows, comment.split(delimiter))
-                    found, rate = _plain(path, names, below, delimiter != ","), None
+            found, found_rates = _read_file(path)
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             reason = " ".join(str(error).split())[:200]
             message = f"{path}: must be CSV in UTF-8, or is damaged ({reason})"
@@ -75,270 +124,169 @@ def read_csv(source: Path) -> Recording:
         count += sum(c.values.size for each in found for c in each.columns.values())
         check_count(str(source), count)
         episodes += found
-        rates.add(rate)
+        rates |= found_rates
     rate = rates.pop() if len(rates) == 1 else None
-    return Recording(str(source), tuple(episodes), dt=1.0 / rate if rate else None)
+    return Recording(str(source), tuple(episodes), dt=1.0 / rate if rate and rate > 0.0 else None)
 
 
-def _first_line(file: TextIO) -> tuple[str, str, str]:
-    """The first line of the table, from which the file goes on, the delimiter, and the comment
-    above."""
-    delimiter = comment = ""
-    while True:
-        at, first = file.tell(), file.readline(2**20)
-        if first.lower().startswith("sep="):
-            delimiter = first[4:5]
-        elif first.startswith("#"):
-            comment = first[1:]
-        else:
-            file.seek(at)
-            return first, delimiter.strip("\r\n") or max(",;\t", key=first.count), comment
+def _read_file(path: Path) -> tuple[list[Episode], set[float | None]]:
+    """The episodes of a file, and its rows a second, where it tells them."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        delimiter = comment = first = ""
+        for first in file:
+            if first[:4].lower() == "sep=":
+                delimiter = first[4:5].strip('\r\n"')
+            elif first.startswith("#"):
+                comment = first[1:]
+            else:
+                break
+        delimiter = delimiter or max(",;\t", key=first.count)
+        rows = csv.reader(chain([first], file), delimiter=delimiter)
+        table = _Table(path, rows, delimiter != ",")
+        if first.lstrip('"').startswith("Format Version"):
+            return _motive(table)
+        if first.strip(f'"\r\n{delimiter}') in _NEXUS:
+            return _nexus(table)
+        return _plain(table, comment.split(delimiter)), {None}
 
 
-def _names(
-    path: Path, rows: Iterator[list[str]], comment: list[str]
-) -> tuple[list[str], Iterator[list[str]]]:
-    """The names of a table, of the first row, or of the comment above where that row has numbers;
-    and the rows below."""
-    row = next(rows, [])
+def _plain(table: _Table, comment: list[str]) -> list[Episode]:
+    """The episodes of a table with names in the first row, or in the comment above."""
+    row = next(table.rows, [])
     numbers = " ".join(row).split()
-    names = [each.strip() for each in row]
-    if numbers and all(map(_is_number, numbers)):
-        names, rows = [each.strip() for each in comment], chain([row], rows)
-        if not len(names) == len(row) == len(numbers):
-            raise InvalidInputError(
-                f"{path}: must begin with a line of names, separated by commas, semicolons or "
-                f"tabs, found numbers: {numbers[0][:30]!r}"
+    if numbers and None not in map(_number, numbers):
+        if not len(comment) == len(row) == len(numbers):
+            raise table.error(
+                "must begin with a line of names, separated by commas, semicolons or tabs, "
+                f"found numbers: {numbers[0][:30]!r}"
             )
+        table, row = replace(table, rows=chain([row], table.rows)), comment
+    names = [each.strip() for each in row]
     while names and not names[-1]:
         names.pop()
     if names and not names[0]:
         names[0] = "index"  # of a data frame
     if not names or not all(names) or len(set(names)) != len(names):
-        raise InvalidInputError(f"{path}: must begin with a line of different names, found {names}")
-    if len(names) > _MOST_COLUMNS:
-        raise InvalidInputError(f"{path}: must have at most {_MOST_COLUMNS} columns")
-    return names, rows
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _plain(path: Path, names: list[str], rows: Iterator[list[str]], comma: bool) -> list[Episode]:
-    """The episodes of a table with these names; ``comma``: as decimal point, too."""
-    lower = {name.lower(): index for index, name in enumerate(names)}
+        raise table.error(f"must begin with a line of different names, found {names}")
     clocks = {index: match for index, name in enumerate(names) if (match := _TIME.fullmatch(name))}
     time = min(clocks, key=lambda index: (names[index].lower() != "time", index), default=None)
-    raw: dict[int, list[str]] = {
-        index: [] for index in (time, lower.get(_EPISODE)) if index is not None
-    }
-    numbers, texts = _numbers(path, rows, len(names), comma, raw)
-    no_times, scale = "", 1.0 if time is None else _UNIT.get(clocks[time]["unit"] or "s", 1.0)
-    if time in texts and time is not None:
+    label = next((index for index, name in enumerate(names) if name.lower() == _EPISODE), None)
+    kept = [index for index in (time, label) if index is not None]
+    values, texts, fields = table.read(len(names), kept)
+    stamps, no_times = None, ""
+    if time is not None:
+        scale = _SECONDS.get(clocks[time]["unit"], 1.0)
         try:
-            numbers[:, time] = _seconds(raw[time]) / scale
+            if time in texts:
+                times = [datetime.fromisoformat(text.strip()) for text in fields[time]]
+                values[:, time] = [(each - times[0]).total_seconds() / scale for each in times]
+                del texts[time]
+            stamps = scale * values[:, time]
         except (ValueError, TypeError):
             no_times = f"column {names[time]!r} must be s or ISO 8601 times, found {texts[time]}"
-            time = None
-    others = {names[index]: text for index, text in texts.items() if index != time}
-    there = {name: index for index, name in enumerate(names) if name not in others}
-    parts = [np.arange(len(numbers))]
-    if _EPISODE in lower:
-        _, firsts, which = np.unique(raw[lower[_EPISODE]], return_index=True, return_inverse=True)
-        parts = [np.flatnonzero(which == index) for index in np.argsort(firsts)]
+            kept.remove(time)
+    others = {names[index]: text for index, text in texts.items()}
+    axes = {name: name[-1].lower() for name in names if _QUATERNION_PART.fullmatch(name)}
+    there = {name: index for index, name in enumerate(names) if index not in texts}
+    frame = next((there[name] for name in _FRAMES if name in there), None)
+    rows_of: dict[str, list[int]] = {}
+    for index in range(len(values)):
+        rows_of.setdefault("" if label is None else fields[label][index], []).append(index)
     episodes: list[Episode] = []
-    for part in parts:
-        stamps = None if time is None else scale * numbers[part, time]
+    for text, rows in rows_of.items():
+        own = None if stamps is None else stamps[rows]
         columns = {
-            name: Column(numbers[part][:, [index]], stamps, axes=_axis(name))
+            name: Column(values[rows, index, None], own, axes=axes.get(name, ""))
             for name, index in there.items()
         }
-        frames = next((columns[name].values for name in _FRAMES if name in columns), None)
-        label = raw[lower[_EPISODE]][part[0]] if len(parts) > 1 else ""
-        named = f"{path.name}: {_EPISODE} {label}" if label else path.name
-        used = {names[index] for index in (time, lower.get(_EPISODE)) if index is not None}
-        steps = None if time is not None or frames is None else _steps(frames[:, 0])
-        episodes.append(Episode(named, columns, others, no_times, used, steps))
+        steps = None
+        if stamps is None and frame is not None:
+            apart = np.diff(values[rows, frame])
+            whole = np.all((apart >= 1.0) & (apart == np.round(apart)))
+            if whole and 2 * np.sum(apart == 1.0) > len(apart):  # of which some are missing
+                steps = values[rows, frame] - values[rows[0], frame]
+        title = table.path.name + f": {_EPISODE} {text}" * bool(text and len(rows_of) > 1)
+        used = {names[index] for index in kept}
+        episodes.append(Episode(title, columns, others, no_times, used, steps))
     return episodes
 
 
-def _axis(name: str) -> str:
-    """The last letter of ``q_w`` or ``qw``, which tells the place of a number in a quaternion."""
-    found = _AXIS.fullmatch(name)
-    return found["axis"].lower() if found else ""
-
-
-def _steps(frames: np.ndarray) -> np.ndarray | None:
-    """[S] of rows that are numbered by frames, of which some are missing."""
-    apart = np.diff(frames)
-    numbered = len(apart) and np.all(apart >= 1.0) and np.median(apart) == 1.0
-    return frames - frames[0] if numbered and np.all(apart == np.round(apart)) else None
-
-
-def _seconds(texts: Sequence[str]) -> np.ndarray:
-    """[S] s since the first of ISO 8601 times; raises `ValueError` or `TypeError`."""
-    times = [datetime.fromisoformat(text.strip()) for text in texts]
-    return np.array([(each - times[0]).total_seconds() for each in times])
-
-
-def _numbers(
-    path: Path,
-    rows: Iterator[list[str]],
-    width: int,
-    comma: bool = False,
-    raw: dict[int, list[str]] | None = None,
-) -> tuple[np.ndarray, dict[int, str]]:
-    """Numbers [S, W] of rows, NaN for empty fields; the first text of each column that has one.
-
-    ``raw`` gets the texts of its columns.
-    """
-    texts: dict[int, str] = {}
-    found: list[np.ndarray] = []
-    marks: set[str] = set()
-    blank = 0
-    for number, row in enumerate(rows, start=1):
-        if not row or (raw and not any(row)):
-            continue
-        while len(row) > width and not row[-1].strip():
-            row.pop()
-        if len(row) != width:
-            raise InvalidInputError(
-                f"{path}: row {number} must have {width} fields, found {len(row)}"
-            )
-        check_count(str(path), len(found) * width)
-        found.append(_row(row, number, texts, comma))
-        blank = 0 if any(row) else blank + 1
-        if comma and len(marks) < 2:
-            marks |= {mark for each in filter(_is_number, row) for mark in ".," if mark in each}
-        for index, each in (raw or {}).items():
-            each.append(row[index])
-    found = found[: len(found) - blank]
-    if not found:
-        raise InvalidInputError(f"{path}: must have rows of numbers, found none")
-    if len(marks) > 1:
-        raise InvalidInputError(f"{path}: numbers must all have a decimal point, or all a comma")
-    return np.stack(found), texts
-
-
-def _row(row: list[str], number: int, texts: dict[int, str], comma: bool) -> np.ndarray:
-    try:
-        if "_" in "".join(row):  # Python reads 1_5 as 15
-            raise ValueError
-        return np.array(list(map(float, row)))
-    except ValueError:
-        numbers = np.full(len(row), np.nan)
-        for index, each in enumerate(row):
-            try:
-                text = each.replace(",", ".") if comma else each
-                numbers[index] = float(text.replace("_", "text")) if text.strip() else np.nan
-            except ValueError:
-                texts.setdefault(index, f"{each[:30]!r} in row {number}")
-        return numbers
-
-
-def _nexus(
-    path: Path, rows: Iterator[list[str]], comma: bool
-) -> tuple[list[Episode], float | None]:
+def _nexus(table: _Table) -> tuple[list[Episode], set[float | None]]:
     """The trial of an export of Vicon Nexus, and its frames a second."""
-    columns: dict[str, Column] = {}
-    others: dict[str, str] = {}
-    rates: set[float] = set()
-    for kind in rows:
-        if not any(kind):
-            continue
-        head = [next(rows, []) for _ in range(4)]
-        table = list(takewhile(any, rows))
-        while head[2] and not head[2][-1]:
-            head[2].pop()  # which Excel adds
-        (rate_text, *_), names, axes, units = (each or [""] for each in head)
+    episode = Episode(table.path.name, {})
+    rates: set[float | None] = set()
+    for kind in filter(any, table.rows):
+        (rate_text, *_), names, axes, units = (next(table.rows, []) or [""] for _ in range(4))
+        section = replace(table, rows=iter(list(takewhile(any, table.rows))))
         if kind[0] not in _NEXUS[:2]:
-            others[kind[0]] = "of Nexus, beside trajectories and segments"
+            episode.others[kind[0]] = "of Nexus, beside trajectories and segments"
             continue
-        width = len(axes)
-        try:
-            rate = float(rate_text)
-        except ValueError:
-            rate = np.nan
-        if not rate > 0.0 or axes[:2] != ["Frame", "Sub Frame"] or width > _MOST_COLUMNS:
-            raise InvalidInputError(
-                f"{path}: {kind[0]} must have lines of a rate, names, axes after Frame and Sub "
-                "Frame, and units"
+        axes = list(takewhile(bool, axes))  # Excel adds empty ones
+        rate = _number(rate_text, False) or np.nan
+        if not rate > 0.0 or axes[:2] != ["Frame", "Sub Frame"]:
+            raise table.error(
+                f"{kind[0]} must have lines of rate, names, axes from Frame and Sub Frame on, units"
             )
-        numbers, texts = _numbers(path, iter(table), width, comma)
         rates.add(rate)
-        places: dict[str, list[int]] = {}
+        labels: _Labels = []
         name = ""
-        for index in range(2, width):
-            name = names[index].strip() if index < len(names) and names[index].strip() else name
-            part = "rotation" if axes[index].startswith("R") else "position"
-            places.setdefault(f"{name}.{part}", []).append(index)
-        for name, indices in places.items():
-            text = next((texts[index] for index in indices if index in texts), None)
-            found = {units[index].strip() if index < len(units) else "" for index in indices}
-            if text is not None or len(indices) != 3 or not found <= set(_NEXUS_UNITS):
-                others[name] = text or f"{len(indices)} numbers in {', '.join(sorted(found))}"
-                continue
-            scale = _NEXUS_UNITS[found.pop()]
-            columns[name] = Column(scale * numbers[:, indices], numbers[:, 0] / rate)
-    return [Episode(path.name, columns, others)], rates.pop() if len(rates) == 1 else None
+        for text, axis, unit in islice(zip_longest(names, axes, units, fillvalue=""), len(axes)):
+            name = text.strip() or name
+            part = "rotation" if axis.startswith("R") else "position"
+            labels.append((f"{name}.{part}", axis, unit.strip()))
+        _add(episode, section, labels, rate)
+    return [episode], rates
 
 
-def _motive(
-    path: Path, rows: Iterator[list[str]], comma: bool
-) -> tuple[list[Episode], float | None]:
+def _motive(table: _Table) -> tuple[list[Episode], set[float | None]]:
     """The take of a Motive export, and its frames a second."""
-    first = next(rows)
+    first = next(table.rows)
     properties = dict(zip(first[::2], first[1::2], strict=False))
     space = properties.get("Coordinate Space", "Global")
     if space != "Global":
-        raise InvalidInputError(f"{path}: Coordinate Space must be Global, found {space[:30]!r}")
+        raise table.error(f"Coordinate Space must be Global, found {space[:30]!r}")
     unit = properties.get("Length Units", "Meters")
-    if unit not in _UNITS:
-        raise InvalidInputError(
-            f"{path}: Length Units must be {' or '.join(_UNITS)}, found {unit[:30]!r}"
-        )
-    try:
-        rate = float(properties.get("Export Frame Rate", "nan").replace(",", "."))
-    except ValueError:
-        rate = np.nan
-    header: list[list[str]] = []
-    for row in rows:
-        if row and row[0] == "Frame":
-            break
-        header.append(row)
-        if len(header) > _HEADER_ROWS:
-            break
-    else:
-        row = []
-    if not row or row[0] != "Frame" or len(row) > _MOST_COLUMNS:
-        raise InvalidInputError(f"{path}: must have a line of axes that begins with Frame")
+    if unit not in _MOTIVE_UNITS:
+        raise table.error(f"Length Units must be {' or '.join(_MOTIVE_UNITS)}, found {unit[:30]!r}")
+    header = [next(table.rows, [])]
+    while header[-1][:1] != ["Frame"] and len(header) <= _HEADER_ROWS:
+        header.append(next(table.rows, []))
+    axes = header.pop()
+    if axes[:1] != ["Frame"] or len(axes) < 2:
+        raise table.error("must have a line of axes that begins with Frame")
     labelled = {each[1]: each for each in header if len(each) > 1 and each[1]}
-    kinds, names = labelled.get("Type"), labelled.get("Name")
-    parts = next((each for each in reversed(header) if len(each) > 2 and not each[1]), None)
-    if names is None or parts is None or min(map(len, (names, parts, kinds or row))) < len(row):
-        raise InvalidInputError(f"{path}: must have lines of Name and of Rotation and Position")
-    numbers, texts = _numbers(path, rows, len(row), comma)
-    places: dict[str, list[int]] = {}
-    for index in range(2, len(row)):
-        kind = f" ({kinds[index]})" if kinds and kinds[index].endswith("Marker") else ""
-        places.setdefault(f"{names[index]}{kind}.{parts[index].lower()}", []).append(index)
-    columns, others = {}, {}
-    for name, indices in places.items():
-        text = next((texts[index] for index in indices if index in texts), None)
-        if text is not None or len(indices) > 4:
-            others[name] = text or "of several bodies of one name"
+    kinds, names = labelled.get("Type", axes), labelled.get("Name", [])
+    parts = next((each for each in reversed(header) if len(each) > 2 and not each[1]), [])
+    if min(map(len, (names, parts, kinds))) < len(axes):
+        raise table.error("must have lines of Name and of Rotation and Position")
+    unit_of = {"position": _MOTIVE_UNITS[unit], "rotation": "1" if "W" in axes else "deg"}
+    labels: _Labels = []
+    for name, kind, part, axis in zip(names, kinds, parts, axes, strict=False):
+        body = f"{name} ({kind})" if kind.endswith("Marker") else name
+        labels.append((f"{body}.{part.lower()}", axis, unit_of.get(part.lower(), "1")))
+    episode = Episode(table.path.name, {})
+    _add(episode, table, labels, euler=properties.get("Rotation Type", ""))
+    return [episode], {_number(properties.get("Export Frame Rate", ""))}
+
+
+def _add(
+    episode: Episode, table: _Table, labels: _Labels, rate: float | None = None, euler: str = ""
+) -> None:
+    """Adds a column in SI units for each name; the first two of all are the frame and its time."""
+    values, texts, _ = table.read(len(labels))
+    stamps = values[:, 1] if rate is None else values[:, 0] / rate
+    groups: dict[str, list[int]] = {}
+    for index in range(2, len(labels)):
+        groups.setdefault(labels[index][0], []).append(index)
+    for name, group in groups.items():
+        _, axes, units = zip(*(labels[index] for index in group), strict=True)
+        text = next((texts[index] for index in group if index in texts), "")
+        if text or len(set(axes)) < len(axes) or not set(units) <= set(_SI):
+            episode.others[name] = text or f"{len(axes)} numbers in {', '.join(sorted(set(units)))}"
             continue
-        turns = name.endswith(".rotation") and len(indices) == 3
-        scale = _UNITS[unit] if name.endswith(".position") else np.pi / 180.0 if turns else 1.0
-        axes = "".join(row[index] for index in indices)
-        axes = axes.lower() if len(axes) == 4 else properties.get("Rotation Type", "") * turns
-        columns[name] = Column(scale * numbers[:, indices], numbers[:, 1], axes=axes)
-    return [Episode(path.name, columns, others)], rate if rate > 0.0 else None
+        order = "".join(axes).lower() if len(axes) == 4 else euler if "deg" in units else ""
+        scale = [_SI[unit] for unit in units]
+        episode.columns[name] = Column(values[:, group] * scale, stamps, axes=order)
 
 
 def write_csv(layout: ExportLayout, folder: Path) -> None:
@@ -346,8 +294,8 @@ def write_csv(layout: ExportLayout, folder: Path) -> None:
     names = ["time", *layout.names, *layout.control_names]
     with new_folder(folder) as temporary:
         for index, each in enumerate(layout.dataset):
-            times = each.scene.dt * np.arange(each.steps + 1)[:, None]
-            states = np.concatenate([times, layout.states(each)], axis=1)
+            times = each.scene.dt * np.arange(each.steps + 1)
+            states = np.column_stack([times, layout.states(each)])
             control = [*each.control.tolist(), [""] * layout.dataset.control_size]
             path = temporary / f"{_EPISODE}-{index:06d}.csv"
             with path.open("w", encoding="utf-8", newline="") as file:
@@ -356,7 +304,7 @@ def write_csv(layout: ExportLayout, folder: Path) -> None:
                 for state, action in zip(states.tolist(), control, strict=True):
                     writer.writerow([*("" if each != each else each for each in state), *action])
         text = layout.map_text(
-            lambda start, stop: json.dumps(layout.names[start:stop]),
-            lambda start, stop: json.dumps(layout.control_names[start:stop]),
+            lambda start, stop: json.dumps(layout.names[start:stop], ensure_ascii=False),
+            lambda start, stop: json.dumps(layout.control_names[start:stop], ensure_ascii=False),
         )
         (temporary / MAP_FILE).write_text(text, encoding="utf-8")

@@ -1,13 +1,12 @@
 """The columns of an exported dataset, and the import map by which they are read back."""
 
 import json
-import secrets
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,24 +15,32 @@ from contactgraph.data import Dataset, InvalidInputError, Trajectory
 
 MAP_FILE = "map.toml"
 """Beside the data in the folder of an export."""
-_TURNS = {"orientation": "wxyz", "angular_velocity": "xyz"}
-_OF_BODY = ("mass", "radius", "size", "anchor", "reach")
+_OF_BODY = ("actuated", "static", "mass", "radius", "size", "anchor", "reach")
 _OF_SCENE = ("gravity", "planes", "pins", "pin_points", "candidate_edges")
-_NOT_EXPORTED = ("link_positions",)
+_SHARED = ("node_name", "node_type", "control_kind", "actuated", "static", "control_of")
+"""What all trajectories of an export have the same."""
 
 Reference = Callable[[int, int], str]
 """The TOML value that refers to columns ``start`` to ``stop - 1``."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Group:
     """Columns that belong together."""
 
     key: str
-    """In the map: a body's name and the key of its table, or ``goal`` or a pair."""
+    """In the map, and in `Trajectory` or its scene."""
+    nodes: tuple[int, ...]
+    """The body's or the pair's; none: the scene's."""
     names: tuple[str, ...]
-    read: Callable[[Trajectory], np.ndarray]
-    """[T+1, W] of a trajectory."""
+
+    def read(self, trajectory: Trajectory) -> np.ndarray:
+        """[T+1, W]."""
+        rows = trajectory.steps + 1
+        if not self.nodes:
+            return np.tile(getattr(trajectory.scene, self.key), (rows, 1))
+        values = getattr(trajectory, self.key)[:, *self.nodes]
+        return values.reshape(rows, -1).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +49,8 @@ class ExportLayout:
 
     dataset: Dataset
     groups: tuple[Group, ...]
+    constants: dict[str, np.ndarray]
+    """Of all scenes, by the names in `contactgraph.data.Scene`."""
     left_out: tuple[str, ...]
     """What the dataset has that is not exported."""
 
@@ -61,74 +70,48 @@ class ExportLayout:
 
     def map_text(self, state: Reference, action: Reference) -> str:
         """The import map, in TOML."""
-        first = self.dataset.trajectories[0].scene
-        at, start = {}, 0
+        scene, start, pairs = self.dataset.trajectories[0].scene, 0, []
+        columns: dict[tuple[int, ...], dict[str, str]] = {(): {}}
         for group in self.groups:
-            at[group.key] = state(start, start + len(group.names))
-            start += len(group.names)
-        lines = ["# Made by contactgraph export: contactgraph import reads this folder by it."]
-        lines.append(f"dimension = {first.dimension}")
-        lines += [
-            f"{name} = {_toml(getattr(first, name))}"
-            for name in _OF_SCENE
-            if getattr(first, name) is not None and f"scene {name}" not in self.left_out
+            stop = start + len(group.names)
+            reference, start = state(start, stop), stop
+            columns.setdefault(group.nodes, {})[group.key] = reference
+            if len(group.nodes) == 2:
+                bodies = {"bodies": [scene.node_name[node] for node in group.nodes]}
+                pairs.append(_table(f"[[{group.key}]]", bodies, {"columns": reference}))
+        of_scene = {name: each for name, each in self.constants.items() if name in _OF_SCENE}
+        made = "# Made by contactgraph export: contactgraph import reads this folder by it."
+        tables = [
+            _table(made, {"dimension": scene.dimension, **of_scene}, columns[()]),
+            _table("[time]", {"dt": scene.dt}, {}),
         ]
-        if "goal" in at:
-            lines.append(f"goal = {at['goal']}")
-        lines += ["", "[time]", f"dt = {_toml(first.dt)}"]
-        for index, name in enumerate(first.node_name):
-            lines += ["", "[[body]]", f"name = {_toml(name)}"]
-            lines.append(f"type = {_toml(first.node_type[index])}")
-            lines.append(f"actuated = {_toml(bool(first.actuated[index]))}")
-            if first.static is not None:
-                lines.append(f"static = {_toml(bool(first.static[index]))}")
-            prefix = f"{name}."
-            lines += [f"{k[len(prefix) :]} = {v}" for k, v in at.items() if k.startswith(prefix)]
-            for key in _OF_BODY:
-                value = getattr(first, key)
-                if value is None or f"scene {key}" in self.left_out:
-                    continue
-                if np.isfinite(value[index]).all():
-                    lines.append(f"{key} = {_toml(value[index])}")
-            outlines = [] if first.polygons is None else first.polygons
-            mine = [
-                each
-                for each, of in zip(
-                    outlines, [] if first.polygon_of is None else first.polygon_of, strict=True
-                )
-                if of == index
-            ]
-            if mine:
-                lines.append(f"polygons = {_toml([each.tolist() for each in mine])}")
-        lines += self._control_lines(action)
-        for kind in ("contact", "holding"):
-            for key in at:
-                if key.startswith(f"{kind} "):
-                    one, other = json.loads(key.removeprefix(f"{kind} "))
-                    lines += ["", f"[[{kind}]]", f"bodies = {_toml([one, other])}"]
-                    lines.append(f"columns = {at[key]}")
-        return "\n".join(lines) + "\n"
-
-    def _control_lines(self, action: Reference) -> list[str]:
-        scene, lines = self.dataset.trajectories[0].scene, []
+        for node, name in enumerate(scene.node_name):
+            body: dict[str, Any] = {"name": name, "type": scene.node_type[node]}
+            for key, value in self.constants.items():
+                if key in _OF_BODY and np.isfinite(value[node]).all():
+                    body[key] = value[node]
+            if scene.polygon_of is not None and node in scene.polygon_of:
+                outlines = zip(scene.polygons or (), scene.polygon_of, strict=True)
+                body["polygons"] = [each for each, of in outlines if of == node]
+            tables.append(_table("[[body]]", body, columns[node,]))
         for index in range(self.dataset.control_size):
             kind = "force" if scene.control_kind is None else scene.control_kind[index]
-            acting = _acting(scene.actuated, scene.control_of, index, scene.dimension)
-            lines += ["", "[[control]]", f"columns = {action(index, index + 1)}"]
-            lines.append(f"kind = {_toml(kind)}")
-            if len(acting):
-                names = [scene.node_name[node] for node in acting]
-                lines.append(f"body = {_toml(names[0] if len(names) == 1 else names)}")
-        return lines
+            acting = scene.actuated & (index < scene.dimension)
+            if scene.control_of is not None:
+                acting = scene.control_of[:, index]
+            control = {"kind": kind, "body": np.array(scene.node_name)[acting]}
+            tables.append(_table("[[control]]", control, {"columns": action(index, index + 1)}))
+        return "\n".join([*tables, *pairs])
 
 
-def _acting(
-    actuated: np.ndarray, control_of: np.ndarray | None, component: int, dimension: int
-) -> np.ndarray:
-    """Nodes on which a component of the control acts."""
-    if control_of is not None:
-        return np.flatnonzero(control_of[:, component])
-    return np.flatnonzero(actuated) if component < dimension else np.zeros(0, dtype=int)
+def _table(head: str, values: dict[str, Any], references: dict[str, str]) -> str:
+    """A table of TOML, whose texts, numbers, booleans and lists are written as in JSON."""
+    # TOML has no surrogate pairs, of which JSON makes the escapes of some letters.
+    encoder = json.JSONEncoder(
+        ensure_ascii=False, allow_nan=False, default=lambda each: each.tolist()
+    )
+    texts = {key: encoder.encode(each) for key, each in values.items()} | references
+    return "\n".join([head, *(f"{key} = {text}" for key, text in texts.items()), ""])
 
 
 def export_layout(dataset: Dataset) -> ExportLayout:
@@ -138,95 +121,61 @@ def export_layout(dataset: Dataset) -> ExportLayout:
     """
     first = dataset.trajectories[0].scene
     for index, each in enumerate(dataset):
-        for name in ("node_name", "node_type", "control_kind"):
-            if getattr(each.scene, name) != getattr(first, name):
+        for name in _SHARED:
+            found, wanted = (np.asarray(getattr(s, name)).tolist() for s in (each.scene, first))
+            if found != wanted:
                 raise InvalidInputError(
-                    f"trajectory {index}: {name} must be that of trajectory 0, "
-                    f"{getattr(first, name)}, found {getattr(each.scene, name)}; other formats "
-                    "have the same columns in all episodes"
+                    f"trajectory {index}: {name} must be that of trajectory 0, {wanted}, found "
+                    f"{found}; other formats have the same columns in all episodes"
                 )
-        for name in ("actuated", "static", "control_of"):
-            if not _same(getattr(each.scene, name), getattr(first, name)):
-                raise InvalidInputError(f"trajectory {index}: {name} must be that of trajectory 0")
-    left_out = [
-        f"scene {name}"
-        for name in (*_OF_SCENE, *_OF_BODY)
-        if not all(_same(getattr(e.scene, name), getattr(first, name)) for e in dataset)
-        or _is_partly_known(getattr(first, name), name)
+    constants, left_out = {}, []
+    for name in (*_OF_SCENE, *_OF_BODY):
+        # None becomes NaN.
+        values = [np.asarray(getattr(each.scene, name), dtype=np.float64) for each in dataset]
+        known = np.isfinite(values[0])
+        rest = tuple(range(1, known.ndim))
+        # A map cannot tell some numbers of a body without the others.
+        partly = np.any(known.any(axis=rest) & ~known.all(axis=rest))
+        if partly or not all(np.array_equal(each, values[0], equal_nan=True) for each in values):
+            left_out.append(f"scene {name}")
+        elif getattr(first, name) is not None:
+            constants[name] = getattr(first, name)
+    if any(each.link_positions is not None for each in dataset):
+        left_out.append("link_positions")
+
+    def recorded(name: str) -> bool:
+        """Whether it is in all trajectories."""
+        owners = [each.scene if name == "goal" else each for each in dataset]
+        there = [getattr(each, name) is not None for each in owners]
+        if any(there) and not all(there):
+            left_out.append(f"{name} (not in all trajectories)")
+        return all(there)
+
+    axes = "xyz"[: dataset.dimension]
+    planar = dataset.dimension == 2
+    parts = {
+        "position": axes,
+        "velocity": axes,
+        "orientation": ["angle"] if planar else "wxyz",
+        "angular_velocity": ["angle"] if planar else "xyz",
+        "tracked": [""],
+        "measured_at": [""],
+    }
+    parts = {key: each for key, each in parts.items() if recorded(key)}
+    groups = [
+        Group(key, (node,), tuple(f"{body}.{key}.{part}".rstrip(".") for part in each))
+        for node, body in enumerate(first.node_name)
+        for key, each in parts.items()
+        if any(np.isfinite(getattr(trajectory, key)[:, node]).any() for trajectory in dataset)
     ]
-    left_out += [
-        name for name in _NOT_EXPORTED if any(getattr(e, name) is not None for e in dataset)
+    if recorded("goal"):
+        groups.append(Group("goal", (), tuple(f"goal.{axis}" for axis in axes)))
+    groups += [
+        Group(kind, (one, other), (f"{kind}.{first.node_name[one]}.{first.node_name[other]}",))
+        for kind in filter(recorded, ("contact", "holding"))
+        for one, other in combinations(range(first.node_count), 2)
     ]
-    return ExportLayout(dataset, tuple(_groups(dataset, left_out)), tuple(left_out))
-
-
-def _is_partly_known(value: np.ndarray | None, name: str) -> bool:
-    """Whether numbers of one body are known in part only, which a map cannot tell."""
-    if value is None or name not in _OF_BODY or value.ndim < 2:
-        return False
-    known = np.isfinite(value).reshape(len(value), -1)
-    return bool(np.any(known.any(axis=1) & ~known.all(axis=1)))
-
-
-def _same(one: Any, other: Any) -> bool:
-    if one is None or other is None:
-        return one is other
-    one, other = np.asarray(one), np.asarray(other)
-    return one.shape == other.shape and bool(
-        np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    )
-
-
-def _groups(dataset: Dataset, left_out: list[str]) -> Iterator[Group]:
-    scene, axes = dataset.trajectories[0].scene, "xyz"[: dataset.dimension]
-    measured = [name for name in ("tracked", "measured_at") if _in_all(dataset, name, left_out)]
-    turning = [name for name in _TURNS if _in_all(dataset, name, left_out)]
-    for node, body in enumerate(scene.node_name):
-        for key in ("position", "velocity"):
-            yield _of_node(body, key, node, axes)
-        for key in turning:
-            if any(np.isfinite(getattr(each, key)[:, node]).any() for each in dataset):
-                parts = ("angle",) if dataset.dimension == 2 else tuple(_TURNS[key])
-                yield _of_node(body, key, node, parts)
-        for key in measured:
-            yield _of_node(body, key, node, ("",))
-    if all(each.scene.goal is not None for each in dataset):
-        names = tuple(f"goal.{axis}" for axis in axes)
-        yield Group("goal", names, lambda t: np.tile(np.asarray(t.scene.goal), (t.steps + 1, 1)))
-    elif any(each.scene.goal is not None for each in dataset):
-        left_out.append("goal")
-    for kind in ("contact", "holding"):
-        if _in_all(dataset, kind, left_out):
-            for one, other in combinations(range(scene.node_count), 2):
-                yield _of_pair(kind, one, other, scene.node_name[one], scene.node_name[other])
-
-
-def _of_pair(kind: str, one: int, other: int, *bodies: str) -> Group:
-    def read(trajectory: Trajectory) -> np.ndarray:
-        return np.asarray(getattr(trajectory, kind)[:, one, [other]], dtype=np.float64)
-
-    return Group(f"{kind} {json.dumps(bodies)}", (".".join([kind, *bodies]),), read)
-
-
-def _of_node(body: str, key: str, node: int, parts: Any) -> Group:
-    def read(trajectory: Trajectory) -> np.ndarray:
-        found = np.asarray(getattr(trajectory, key)[:, node], dtype=np.float64)
-        return found.reshape(len(found), -1)
-
-    names = tuple(f"{body}.{key}.{part}".rstrip(".") for part in parts)
-    return Group(f"{body}.{key}", names, read)
-
-
-def _in_all(dataset: Dataset, name: str, left_out: list[str]) -> bool:
-    there = [getattr(each, name) is not None for each in dataset]
-    if any(there) and not all(there):
-        left_out.append(f"{name} (not in all trajectories)")
-    return all(there)
-
-
-def _toml(value: Any) -> str:
-    """Text, numbers, booleans and lists are written as in JSON."""
-    return json.dumps(value.tolist() if isinstance(value, np.ndarray) else value, allow_nan=False)
+    return ExportLayout(dataset, tuple(groups), constants, tuple(left_out))
 
 
 @contextmanager
@@ -239,13 +188,12 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise InvalidInputError(f"{path}: must not exist yet")
     if not path.absolute().parent.is_dir():
         raise InvalidInputError(f"{path}: folder {path.parent} does not exist")
-    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
     try:
-        temporary.mkdir()
-        yield temporary
-        temporary.rename(path)
+        with TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as outer:
+            temporary = Path(outer) / "export"
+            temporary.mkdir()
+            yield temporary
+            temporary.rename(path)
     except OSError as error:
         reason = " ".join(str(error).split())
         raise InvalidInputError(f"{path}: cannot be written ({reason})") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

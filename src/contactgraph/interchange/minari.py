@@ -7,7 +7,10 @@ episode, with observations of T + 1 states, possibly in groups, and T actions.
 import json
 import re
 from collections.abc import Callable, Iterable
+from functools import reduce
+from operator import getitem
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -37,11 +40,17 @@ _VERSION = "0.5.0"
 
 def read_minari(source: Path) -> Recording:
     """The dataset in the folder ``source``, in its folder ``data`` or in that one's file."""
-    folder = source.parent if source.is_file() else source
-    if (folder / "data").is_dir():
-        folder = folder / "data"
-    path = source if source.is_file() else folder / _FILE
-    environment, total = _environment(folder / _METADATA)
+    path = source
+    if source.is_dir():
+        path = source / "data" / _FILE if (source / "data").is_dir() else source / _FILE
+    about = path.with_name(_METADATA)
+    metadata = read_json(about).content if about.exists() else {}
+    kind = metadata.get("data_format", "hdf5")
+    if kind != "hdf5":
+        raise InvalidInputError(
+            f"{about}: data_format must be hdf5, found {kind!r}; Minari itself reads it, and "
+            'records hdf5 with data_format="hdf5"'
+        )
     if not path.exists():
         raise InvalidInputError(
             f"{source}: must be a folder of Minari with data/{_FILE} (often below "
@@ -50,30 +59,21 @@ def read_minari(source: Path) -> Recording:
     check_file(path, _LARGEST_FILE)
     with opened(path) as root:
         episodes = read_episodes(root, _PREFIX, _episode)
+    total = metadata.get("total_episodes")
     if total not in (None, len(episodes)):
         raise InvalidInputError(
             f"{source}: must have {total!r} episodes, as {_METADATA} says, found {len(episodes)}"
         )
-    return Recording(str(source), episodes, environment=environment)
+    name = json_member(metadata.get("env_spec"), "id")
+    return Recording(str(source), episodes, environment=name if isinstance(name, str) else "")
 
 
-def _environment(path: Path) -> tuple[str, object]:
-    """The environment's name and the number of episodes by the metadata, or nothing."""
-    if not path.exists():
-        return "", None
-    metadata = read_json(path)
-    kind = metadata.content.get("data_format", "hdf5")
-    if kind != "hdf5":
-        raise InvalidInputError(
-            f"{path}: data_format must be hdf5, found {kind!r}; Minari itself reads it, and "
-            'records hdf5 with data_format="hdf5"'
-        )
-    total = metadata.content.get("total_episodes")
+def json_member(text: Any, *keys: str) -> Any:
+    """What a JSON text has below these keys; None where it has nothing, or is none."""
     try:
-        found = json.loads(metadata.content.get("env_spec", "{}")).get("id", "")
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        return "", total
-    return found if isinstance(found, str) else "", total
+        return reduce(getitem, keys, json.loads(text))
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return None
 
 
 def read_episodes(
@@ -98,12 +98,11 @@ def read_columns(
     columns: dict[str, Column] = {}
     others: dict[str, str] = {}
 
-    def add(at: str, inside: UntrustedGroup, member: str, depth: int) -> None:
+    def add(at: str, inside: UntrustedGroup, member: str) -> None:
         if inside.is_group(member):
-            if depth < _DEEPEST:
-                child = inside.child(member)
-                for each in child.names():
-                    add(f"{at}/{each}", child, each, depth + 1)
+            child = inside.child(member)
+            for each in child.names() if at.count("/") < _DEEPEST else ():
+                add(f"{at}/{each}", child, each)
             return
         found = inside.numbers(member)
         if isinstance(found, str):
@@ -114,10 +113,9 @@ def read_columns(
             width = int(np.prod(found.shape[1:]))
             columns[at] = Column(found.reshape(len(found), width).astype(np.float64))
 
-    there = group.names()
     for part in parts:
-        if part in there:
-            add(part, group, part, 0)
+        if part in group.names():
+            add(part, group, part)
     return columns, others
 
 
@@ -127,45 +125,37 @@ def _episode(name: str, group: UntrustedGroup) -> Episode:
     for at, each in columns.items():
         if at.startswith("infos/") and {len(each.values) + 1} == states:
             # `reset` gave none: the rows are of the states from the second on.
-            columns[at] = Column(
-                np.concatenate([np.full_like(each.values[:1], np.nan), each.values])
-            )
+            columns[at] = Column(np.pad(each.values, ((1, 0), (0, 0)), constant_values=np.nan))
     return Episode(name, columns, others)
 
 
 def write_minari(layout: ExportLayout, folder: Path) -> None:
     """Writes a dataset, whose observation is one array of all states, to a new folder."""
+    name = re.sub(r"[^\w-]+", "-", folder.name).strip("-") or "export"
+    metadata = {
+        "total_episodes": len(layout.dataset),
+        "total_steps": sum(each.steps for each in layout.dataset),
+        "data_format": "hdf5",
+        "observation_space": _box(len(layout.names)),
+        "action_space": _box(layout.dataset.control_size),
+        "dataset_id": name if re.search(r"-v\d+$", name) else f"contactgraph/{name}-v0",
+        "minari_version": _VERSION,
+        "observation_names": layout.names,
+    }
+    text = layout.map_text('"observations[{}:{}]"'.format, '"actions[{}:{}]"'.format)
     with new_folder(folder) as temporary:
         data = temporary / "data"
         data.mkdir()
-        steps = 0
         with h5py.File(data / _FILE, "x", track_order=True) as file:
             for index, each in enumerate(layout.dataset):
                 group = file.create_group(f"{_PREFIX}{index}")
-                group.attrs["id"] = index
-                group.attrs["total_steps"] = each.steps
+                group.attrs.update(id=index, total_steps=each.steps)
                 group["observations"] = layout.states(each)
                 group["actions"] = each.control
                 group["rewards"] = np.zeros(each.steps)
-                ends = np.arange(each.steps) == each.steps - 1
-                group["terminations"], group["truncations"] = np.zeros_like(ends), ends
-                steps += each.steps
-        name = re.sub(r"[^\w-]+", "-", folder.name).strip("-") or "export"
-        metadata = {
-            "total_episodes": len(layout.dataset),
-            "total_steps": steps,
-            "data_format": "hdf5",
-            "observation_space": _box(len(layout.names)),
-            "action_space": _box(layout.dataset.control_size),
-            "dataset_id": name if re.search(r"-v\d+$", name) else f"contactgraph/{name}-v0",
-            "minari_version": _VERSION,
-            "observation_names": layout.names,
-        }
+                group["terminations"] = np.zeros(each.steps, dtype=bool)
+                group["truncations"] = np.arange(each.steps) == each.steps - 1
         (data / _METADATA).write_text(json.dumps(metadata), encoding="utf-8")
-        text = layout.map_text(
-            lambda start, stop: f'"observations[{start}:{stop}]"',
-            lambda start, stop: f'"actions[{start}:{stop}]"',
-        )
         (temporary / MAP_FILE).write_text(text, encoding="utf-8")
 
 

@@ -4,7 +4,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -101,13 +100,6 @@ class Recording:
                     f"{self.where}: {each.name}: must have columns of numbers, found "
                     f"{', '.join(there) or 'none'}"
                 )
-
-
-class Reader(Protocol):
-    """Reads a file or folder; raises `InvalidInputError` of one line where anything is wrong."""
-
-    def __call__(self, source: Path) -> Recording:
-        """The recording in ``source``."""
 
 
 def check_count(where: str, count: int) -> None:

@@ -4,14 +4,13 @@ The layout is that of https://robomimic.github.io/docs/datasets/overview.html: o
 and actions of T steps, and the observation after each step in ``next_obs``.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
-from contactgraph.interchange.minari import read_columns, read_episodes
+from contactgraph.interchange.minari import json_member, read_columns, read_episodes
 from contactgraph.interchange.recording import Column, Episode, Recording, check_file
 
 _LARGEST_FILE = 2**36
@@ -29,9 +28,12 @@ def read_robomimic(source: Path) -> Recording:
         if "data" not in root.names() or not root.is_group("data"):
             raise InvalidInputError(f"{source}: must hold a group data, as robomimic's files do")
         data = root.child("data")
-        environment, dt = _environment(data.group.attrs.get("env_args", "{}"))
+        description = data.group.attrs.get("env_args")
         episodes = read_episodes(data, _PREFIX, _episode)
-    return Recording(str(source), episodes, dt, environment)
+    name = json_member(description, "env_name")
+    rate = json_member(description, "env_kwargs", "control_freq")
+    dt = 1.0 / rate if type(rate) in (int, float) and 0.0 < rate < 1e6 else None
+    return Recording(str(source), episodes, dt, name if isinstance(name, str) else "")
 
 
 def _episode(name: str, group: UntrustedGroup) -> Episode:
@@ -43,19 +45,8 @@ def _episode(name: str, group: UntrustedGroup) -> Episode:
             f"found {len(columns['actions'].values)}"
         )
     after, _ = read_columns(group, ("next_obs",))
-    for at, column in columns.items():
-        following = after.get(at.replace("obs/", "next_obs/", 1)) if at.startswith("obs/") else None
-        if following is not None and following.values.shape == column.values.shape:
-            columns[at] = Column(np.concatenate([column.values, following.values[-1:]]))
+    for at, following in after.items():
+        at = at.removeprefix("next_")
+        if at in columns and columns[at].values.shape == following.values.shape:
+            columns[at] = Column(np.concatenate([columns[at].values, following.values[-1:]]))
     return Episode(name, columns, others)
-
-
-def _environment(text: object) -> tuple[str, float | None]:
-    """The environment's name, and s of a step; what is unknown is empty or None."""
-    try:
-        found = json.loads(text) if isinstance(text, str | bytes) else {}
-        name, rate = found.get("env_name", ""), found.get("env_kwargs", {}).get("control_freq")
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        return "", None
-    known = isinstance(rate, int | float) and not isinstance(rate, bool) and 0.0 < rate < 1e6
-    return name if isinstance(name, str) else "", 1.0 / rate if known else None

@@ -4,6 +4,7 @@ Only types that ship with the library `rosbags` are read. Definitions in a file 
 because `rosbags` makes them into Python code.
 """
 
+import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,41 +40,32 @@ _SET_BACK = 3
 """Messages in a row that are older than the newest, from which on a clock was set back."""
 
 
+Header = tuple[str, int | None]
+"""The frame and the time, ns, of a message's header."""
+_NO_HEADER: Header = "", None
+
+
 class Part(NamedTuple):
-    """Numbers in a message."""
+    """Numbers in a message: a row of a column."""
 
     name: str
     values: np.ndarray
-    header: tuple[str, int] | None = None
-    """Frame, and time, ns, of the innermost header. None: there is none."""
+    frame: str = ""
+    """Of the coordinates; empty: unknown."""
+    stamp: int | None = None
+    """ns, of the innermost header. None: there is none."""
     labels: tuple[str, ...] = ()
     """Names of the numbers, if they have some."""
     axes: str = ""
     """``xyzw`` of a quaternion."""
     child: str = ""
     """The frame that a message, not one of a list, tells the pose of."""
+    order: int = 0
+    """Of the message in the recording."""
+    recorded: int = 0
+    """ns, on the recorder's clock."""
     instead: str = ""
     """What there is, where it is not read as numbers."""
-
-
-class Row(NamedTuple):
-    """Numbers of a column."""
-
-    order: int
-    """Of the message in the recording."""
-    recorded: int
-    """ns, on the recorder's clock."""
-    part: Part
-
-    @property
-    def frame(self) -> str:
-        """Of the coordinates; empty: unknown."""
-        return "" if self.part.header is None else self.part.header[0]
-
-    @property
-    def stamp(self) -> int | None:
-        """ns, of the header; None: there is none."""
-        return None if self.part.header is None else self.part.header[1]
 
 
 def read_rosbag(source: Path) -> Recording:
@@ -90,19 +82,17 @@ def read_rosbag(source: Path) -> Recording:
     together = source.is_dir() and (source / _METADATA).exists()
     episodes: list[Episode] = []
     for group in [paths] if together else [[each] for each in paths]:
-        rows: dict[str, list[Row]] = defaultdict(list)
+        rows: dict[str, list[Part]] = defaultdict(list)
         others: dict[str, str] = {}
-        count = messages = 0
+        count, orders = 0, itertools.count()
         for path in group:
             check_file(path, _LARGEST_FILE)
             _check_profile(path)
             with reading(str(path)):
-                for recorded, parts in _messages(path, others):
-                    messages += 1
-                    for part in parts:
-                        count += part.values.size + 1
-                        check_count(str(source), count)
-                        rows[part.name].append(Row(messages, recorded, part))
+                for part in _parts(path, others, orders):
+                    count += part.values.size + 1
+                    check_count(str(source), count)
+                    rows[part.name].append(part)
         name = (source if together else group[0]).name
         episodes += _episodes(name, _by_frame(_by_label(rows, others), others), others)
     return Recording(str(source), tuple(episodes))
@@ -128,37 +118,34 @@ def _check_profile(path: Path) -> None:
         )
 
 
-def _by_label(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, list[Row]]:
+def _by_label(rows: dict[str, list[Part]], others: dict[str, str]) -> dict[str, list[Part]]:
     """Numbers with names: a column for each, and all of them in the order of the first message."""
-    found: dict[str, list[Row]] = defaultdict(list)
+    found: dict[str, list[Part]] = defaultdict(list)
     for name, each in rows.items():
-        labels = each[0].part.labels
-        for row in each:
-            part = row.part
+        labels = each[0].labels
+        for part in each:
             by_label = dict(zip(part.labels, part.values, strict=True)) if part.labels else {}
             for label, number in by_label.items():
-                single = part._replace(values=np.array([number]))
-                found[f"{name}.{label}"].append(row._replace(part=single))
+                found[f"{name}.{label}"].append(part._replace(values=np.array([number])))
             if sorted(part.labels) != sorted(labels):
                 others[name] = "numbers of several sets of names"
             elif labels:
-                ordered = np.array([by_label[label] for label in labels])
-                row = row._replace(part=part._replace(values=ordered))
-            found[name].append(row)
+                part = part._replace(values=np.array([by_label[label] for label in labels]))
+            found[name].append(part)
         if name in others:
             found.pop(name)
     return found
 
 
-def _by_frame(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, list[Row]]:
+def _by_frame(rows: dict[str, list[Part]], others: dict[str, str]) -> dict[str, list[Part]]:
     """A column for each frame, and child frame, where there are several."""
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[Part]] = {}
     for name, each in rows.items():
-        parts: dict[str, list[Row]] = defaultdict(list)
-        children = len({row.part.child for row in each}) > 1
+        parts: dict[str, list[Part]] = defaultdict(list)
+        children = len({row.child for row in each}) > 1
         frames = len({row.frame for row in each}) > 1
         for row in each:
-            of = [row.frame] * frames + [row.part.child] * children
+            of = [row.frame] * frames + [row.child] * children
             parts["@".join([name, *of])].append(row)
         found |= parts
         if len(parts) > 1:
@@ -166,7 +153,7 @@ def _by_frame(rows: dict[str, list[Row]], others: dict[str, str]) -> dict[str, l
     return found
 
 
-def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> list[Episode]:
+def _episodes(name: str, rows: dict[str, list[Part]], others: dict[str, str]) -> list[Episode]:
     """The parts of a recording in which no clock is set back."""
     for column, each in rows.items():
         unset = sum(row.stamp == 0 for row in each)
@@ -183,15 +170,13 @@ def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> 
         columns = {}
         for column, each in rows.items():
             mine = np.searchsorted(cuts, [row.order for row in each], side="right") == index
-            values = [row.part.values for row, own in zip(each, mine, strict=True) if own]
+            values = [row.values for row, own in zip(each, mine, strict=True) if own]
             if len({one.size for one in values}) > 1:
                 others[column] = "numbers whose count changes"
             elif values:
                 times, first = np.unique(stamps[column][mine] - begin, return_index=True)
-                part = each[0].part
-                columns[column] = Column(
-                    np.stack(values)[first], 1e-9 * times, each[0].frame, part.axes
-                )
+                kept, like = np.stack(values)[first], each[0]
+                columns[column] = Column(kept, 1e-9 * times, like.frame, like.axes)
                 if len(first) < len(values):
                     same = f"{column}, {len(values) - len(first)} messages with another's stamp"
                     others[same] = "numbers"
@@ -200,7 +185,7 @@ def _episodes(name: str, rows: dict[str, list[Row]], others: dict[str, str]) -> 
     return episodes
 
 
-def _stamps(rows: list[Row]) -> np.ndarray:
+def _stamps(rows: list[Part]) -> np.ndarray:
     """[S] ns: of headers, unless they are not set."""
     stamps = [row.stamp for row in rows]
     if None in stamps or not any(stamps):
@@ -223,8 +208,8 @@ def _set_back(stamps: np.ndarray) -> list[int]:
     return found
 
 
-def _messages(path: Path, others: dict[str, str]) -> Iterator[tuple[int, list[Part]]]:
-    """Time of recording, ns, and the parts of every message, in the order of recording."""
+def _parts(path: Path, others: dict[str, str], orders: Iterator[int]) -> Iterator[Part]:
+    """The parts of every message, in the order of recording."""
     try:
         from rosbags.rosbag2 import Reader, storage_mcap
         from rosbags.typesys import Stores, get_typestore
@@ -247,15 +232,15 @@ def _messages(path: Path, others: dict[str, str]) -> Iterator[tuple[int, list[Pa
                 others[each.topic] = what
             # `Reader.messages` would sort by time, which hides that a clock was set back.
             storage: Any = reader.storage
-            for connection, stamp, content in storage.messages_scan(known):
+            for connection, recorded, content in storage.messages_scan(known):
                 message = store.deserialize_cdr(content, connection.msgtype)
-                parts = list(_flattened(connection.topic, message, None, 0))
-                others.update({part.name: part.instead for part in parts if part.instead})
-                child = _child(message)
-                parts = [part._replace(child=child) for part in parts if not part.instead]
-                if parts:
+                about = {"child": _child(message), "order": next(orders), "recorded": recorded}
+                for part in _flattened(connection.topic, message, _NO_HEADER, 0):
+                    if part.instead:
+                        others[part.name] = part.instead
+                        continue
                     others.pop(connection.topic, None)
-                yield stamp, parts
+                    yield part._replace(**about)
     finally:
         storage_mcap.DECOMPRESSORS.update(unbounded)
 
@@ -275,15 +260,6 @@ def _bounded(zstd: Any) -> dict[str, Callable[[bytes, int], bytes]]:
     }
 
 
-def _header(message: Any) -> tuple[str, int] | None:
-    """The frame and the time, ns, of a message's header."""
-    header = getattr(message, "header", None)
-    stamp = getattr(header, "stamp", None)
-    if stamp is None:
-        return None
-    return getattr(header, "frame_id", "").strip("/"), stamp.sec * 10**9 + stamp.nanosec
-
-
 def _child(message: Any) -> str:
     """The frame whose pose a message tells; empty: none."""
     return str(getattr(message, "child_frame_id", "")).strip("/")
@@ -297,17 +273,17 @@ def _item(name: str, item: Any, index: int) -> str:
     return f"{name}.{own}" if own else f"{name}[{index}]"
 
 
-def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int) -> Iterator[Part]:
+def _flattened(name: str, value: Any, header: Header, depth: int) -> Iterator[Part]:
     """The parts of a message; one that has numbers only, such as a point, is one."""
     fields = getattr(value, "__dataclass_fields__", None)
     if depth > _DEEPEST:
         return
     if fields is None:
         if isinstance(value, bool | int | float):
-            yield Part(name, np.array([float(value)]), header)
+            yield Part(name, np.array([float(value)]), *header)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
             instead = f"{value.size} numbers" if value.size > _WIDEST else ""
-            yield Part(name, value.astype(np.float64).ravel(), header, instead=instead)
+            yield Part(name, value.astype(np.float64).ravel(), *header, instead=instead)
         elif isinstance(value, list):
             for index, each in enumerate(value):
                 at = _item(name, each, index)
@@ -317,11 +293,13 @@ def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int
                     break
                 yield from _flattened(at, each, header, depth + 1)
         return
-    header = _header(value) or header
+    own: Any = getattr(value, "header", None)
+    if hasattr(own, "stamp"):
+        header = own.frame_id.strip("/"), own.stamp.sec * 10**9 + own.stamp.nanosec
     parts = {each: getattr(value, each) for each in fields if not each.startswith("__")}
     if depth and all(isinstance(each, int | float) for each in parts.values()):
         axes = "xyzw" if list(parts) == list("xyzw") else ""
-        yield Part(name, np.array([float(each) for each in parts.values()]), header, axes=axes)
+        yield Part(name, np.array([float(each) for each in parts.values()]), *header, axes=axes)
         return
     labels = parts.get("name")
     named = tuple(labels) if isinstance(labels, list) else ()
@@ -329,6 +307,6 @@ def _flattened(name: str, value: Any, header: tuple[str, int] | None, depth: int
         named = ()  # of two with the same name, nothing tells which is which
     for each, inner in parts.items():
         if named and isinstance(inner, np.ndarray) and len(inner) == len(named):
-            yield Part(f"{name}.{each}", inner.astype(np.float64), header, named)
+            yield Part(f"{name}.{each}", inner.astype(np.float64), *header, named)
         elif each != "header":
             yield from _flattened(f"{name}.{each}", inner, header, depth + 1)

@@ -139,7 +139,7 @@ def read_map(name: str) -> SceneMap:
     Raises `InvalidInputError`, which names the key, where it is missing, unknown or wrong.
     """
     path = Path(name)
-    if not path.exists() and name in shipped_maps():
+    if not path.is_file() and name in shipped_maps():
         text = shipped_map_text(name)
     elif not path.exists() and not path.suffix:
         raise InvalidInputError(

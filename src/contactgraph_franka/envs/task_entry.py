@@ -40,7 +40,6 @@ FRANKA = KnownTask(
     horizon=50,
     max_force=MAX_FORCE,
     summary="a robot arm picks up a block and takes it to a goal (MuJoCo)",
-    title="A contact graph that picks things up with an arm",
     conditions=(
         TestCondition("as-trained", "as trained", True),
         TestCondition("5-distractors", "5 distractors", False, distractors=5),
