@@ -28,10 +28,12 @@ from recordings import (
 
 from contactgraph.cli.main import run
 from contactgraph.data import InvalidInputError
-from contactgraph.interchange import to_trajectories
+from contactgraph.interchange import Column, Episode, to_trajectories
+from contactgraph.interchange.conversion import state_after
 from contactgraph.interchange.csv_table import read_csv
 from contactgraph.interchange.draft import draft_map
 from contactgraph.interchange.lerobot import read_lerobot
+from contactgraph.interchange.measurements import MappedEpisode
 from contactgraph.interchange.minari import read_minari
 from contactgraph.interchange.robomimic import read_robomimic
 from contactgraph.interchange.rosbag import read_rosbag
@@ -116,6 +118,10 @@ def test_times_in_a_unit_that_is_not_told(tmp_path: Path, unit: float, message: 
         ),
         (BODY.format("[1, 1]") + "missing = 3\n", "missing is for recorded numbers"),
         (XY + "mass = -1\n", "mass must not be negative"),
+        (
+            '[[body]]\nname = "box"\n[body.keypoints]\ncolumns = ["x", "y", "x", "y"]\n',
+            "'points' is missing",
+        ),
     ],
 )
 def test_keys_that_cannot_be_meant(tmp_path: Path, key: str, message: str) -> None:
@@ -438,3 +444,15 @@ def test_files_of_another_kind_are_not_called_damaged(
     path.write_bytes(head)
     with pytest.raises(InvalidInputError, match=message):
         read_rosbag(path)
+
+
+def test_states_of_an_environment_follow_one_another() -> None:
+    """As an adapted task reads them: `tracked` and a turn rate alone do not hinder the next one."""
+    keys = 'tracked = "ok"\nangular_velocity = "w"\n'
+    scene_map = parse_map("map", f"dimension = 2\n[time]\ndt = 0.05\n{XY}{keys}")
+    previous = None
+    for step in range(3):
+        numbers = {"x": 0.1 * step, "y": 0.0, "ok": 1.0, "w": 0.5}
+        columns = {name: Column(np.array([[value]])) for name, value in numbers.items()}
+        previous = state_after(MappedEpisode(Episode("one", columns), scene_map, 0.05), previous)
+    np.testing.assert_allclose(previous["velocity"], [[2.0, 0.0]])

@@ -17,7 +17,7 @@ from contactgraph.interchange.measurements import (
     read_track,
 )
 from contactgraph.interchange.recording import Recording
-from contactgraph.interchange.scene_map import BodyMap, PairMap, SceneMap
+from contactgraph.interchange.scene_map import BodyMap, SceneMap
 
 _UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 _SAME_STEP = 0.1
@@ -26,6 +26,10 @@ _SHOWN = 12
 """Columns without a use that are named."""
 State = dict[str, np.ndarray]
 """Of all bodies at one step, [N, W] each, by the names of `STATE`."""
+Given = dict[str, dict[str, np.ndarray]]
+"""Values [S, W] by the names of bodies, and of `STATE`."""
+Rows = dict[str, list[tuple[np.ndarray, np.ndarray]]]
+"""Times and values of what `SceneMap` calls controls, contact and holding."""
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what becomes infinite is refused
@@ -51,8 +55,6 @@ def to_trajectories(
                     f"--inspect suggests one"
                 )
             parts, seconds = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
-            for each in parts:
-                _check_speeds(each, scene_map)
             kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
             raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
@@ -64,9 +66,7 @@ def to_trajectories(
         raise InvalidInputError(
             f"{recording.where}: no step in which all bodies are known and in their bounds"
         )
-    there = dict.fromkeys(
-        name for each in recording.episodes for name in (*each.columns, *each.others)
-    )
+    there = {name: None for each in recording.episodes for name in (*each.columns, *each.others)}
     used = set.union(*(each.used for each in recording.episodes))
     unused = [name for name in there if name not in used]
     more = f", … ({len(unused)} in all)" if len(unused) > _SHOWN else ""
@@ -84,18 +84,17 @@ def to_trajectories(
 def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
     """The trajectories of an episode, and the s of it that are left out; None: it had even stamps
     and no gaps."""
-    tracks = [read_track(mapped, body) for body in mapped.map.bodies]
-    controls = [finite_rows(mapped, each.entries) for each in mapped.map.controls]
-    pairs = {
+    tracks = {body.name: read_track(mapped, body) for body in mapped.map.bodies}
+    rows = {
         name: [finite_rows(mapped, each.entries) for each in getattr(mapped.map, name)]
-        for name in ("contact", "holding")
+        for name in ("controls", "contact", "holding")
     }
     _check_frames(mapped.map, tracks)
-    moving = [each.times for each in tracks if not each.fixed]
+    moving = [each.times for each in tracks.values() if not each.fixed]
     if not moving:
         raise InvalidInputError("the position of at least one body must be recorded")
-    states = max(map(len, moving))
-    times = next(each for each in moving if len(each) == states)
+    times = max(moving, key=len)
+    states = len(times)
     _check_counts(mapped)
     apart = float(np.median(np.diff(times))) if states > 1 else 0.0
     for unit, scale in _UNITS.items():
@@ -104,34 +103,31 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
                 f"times must be in s, found some {apart:g} apart, which are steps of {mapped.dt:g} "
                 f"s in {unit}: [time] columns with scale = {scale:g}"
             )
-    even = (
+    controls = [each for each, _ in rows["controls"]]
+    if (
         states > 1
         and all(np.array_equal(each, times) for each in moving)
         and all(
             len(each) in (states, states - 1) and np.array_equal(each, times[: len(each)])
-            for each, _ in controls
+            for each in controls
         )
-        and all(len(each) == states for flags in pairs.values() for each, _ in flags)
+        and all(len(each) == states for each, _ in rows["contact"] + rows["holding"])
         and resampling.is_even(times, mapped.dt)
-    )
-    if even:
-        return [_trajectory(mapped, tracks, controls, pairs, None)], None
+    ):
+        return [_trajectory(mapped, tracks, rows, None)], None
     if apart > mapped.map.max_gap:
         raise InvalidInputError(
             f"rows are {apart:g} s apart, but max_gap is {mapped.map.max_gap:g} s; times in ms or "
             "another unit need [time] columns with a scale"
         )
-    for body, track in zip(mapped.map.bodies, tracks, strict=True):
+    for name, track in tracks.items():
         if len(track.times) == 1 < states:
             raise InvalidInputError(
-                f"{body.name}: must be measured more than once, or stand: static = true"
+                f"{name}: must be measured more than once, or stand: static = true"
             )
-    parts = resampling.even_times(
-        moving, [each for each, _ in controls], mapped.dt, mapped.map.max_gap
-    )
-    every = np.concatenate(moving + [each for each, _ in controls])
-    left = np.ptp(every) - sum(np.ptp(at) for at in parts)
-    return [_trajectory(mapped, tracks, controls, pairs, at) for at in parts], float(left)
+    parts = resampling.even_times(moving, controls, mapped.dt, mapped.map.max_gap)
+    left = np.ptp(np.concatenate(moving + controls)) - sum(map(np.ptp, parts))
+    return [_trajectory(mapped, tracks, rows, at) for at in parts], float(left)
 
 
 def _check_counts(mapped: MappedEpisode) -> None:
@@ -149,13 +145,9 @@ def _check_counts(mapped: MappedEpisode) -> None:
         )
 
 
-def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
+def _check_frames(scene_map: SceneMap, tracks: dict[str, Track]) -> None:
     """Refuses positions that the recording says are in different frames, unless the map does."""
-    frames = {
-        body.name: track.frame
-        for body, track in zip(scene_map.bodies, tracks, strict=True)
-        if track.frame
-    }
+    frames = {name: track.frame for name, track in tracks.items() if track.frame}
     for body in scene_map.bodies:
         if body.base is not None and frames.get(body.name, "") == frames.get(body.base):
             raise InvalidInputError(
@@ -172,75 +164,61 @@ def _check_frames(scene_map: SceneMap, tracks: list[Track]) -> None:
         )
 
 
-def _check_speeds(trajectory: Trajectory, scene_map: SceneMap) -> None:
-    """Refuses a body that is faster than it can be."""
+def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:
+    """The steps before a body leaves its bounds; None where there is none.
+
+    Refuses a body that is faster than it can be.
+    """
+    dt, inside = trajectory.scene.dt, np.ones(len(trajectory.position), dtype=bool)
     for node, body in enumerate(scene_map.bodies):
-        steps = np.linalg.norm(np.diff(trajectory.position[:, node], axis=0), axis=1)
-        speed = float(steps.max()) / trajectory.scene.dt
+        position = trajectory.position[:, node]
+        steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        speed = float(steps.max()) / dt
         if body.max_speed is not None and speed > body.max_speed:
             raise InvalidInputError(
                 f"{body.name}: max_speed is {body.max_speed:g} m/s, found {speed:.3g} m/s at "
-                f"{trajectory.scene.dt * (int(steps.argmax()) + 1):.3g} s"
+                f"{dt * (int(steps.argmax()) + 1):.3g} s"
             )
-
-
-def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:
-    """The steps before a body leaves its bounds; None where there is none."""
-    inside = np.ones(len(trajectory.position), dtype=bool)
-    for node, body in enumerate(scene_map.bodies):
-        if body.bounds is None:
-            continue
-        low, high = body.bounds
-        position = trajectory.position[:, node]
+        low, high = (-np.inf, np.inf) if body.bounds is None else body.bounds
         inside &= np.all((low <= position) & (position <= high), axis=1)
-    states = len(inside) if inside.all() else int(np.argmin(inside))
-    if states == len(inside):
+    if inside.all():
         return trajectory
+    states = int(np.argmin(inside))
     if states < 2:
         return None
     names = (*STATE, "contact", "holding", "tracked", "measured_at")
     arrays = {name: getattr(trajectory, name) for name in names}
-    cut: dict[str, Any] = {
-        name: value if value is None else value[:states] for name, value in arrays.items()
-    }
+    cut: dict[str, Any] = {key: each[:states] for key, each in arrays.items() if each is not None}
     return replace(trajectory, control=trajectory.control[: states - 1], **cut)
 
 
 def _trajectory(
-    mapped: MappedEpisode,
-    tracks: list[Track],
-    controls: list[tuple[np.ndarray, np.ndarray]],
-    pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]],
-    at: np.ndarray | None,
+    mapped: MappedEpisode, tracks: dict[str, Track], rows: Rows, at: np.ndarray | None
 ) -> Trajectory:
     """The trajectory at these times; None: at all of the recording's, which are even."""
-    states = max(len(each.times) for each in tracks) if at is None else len(at)
-    given = [_at_times(track, at, states) for track in tracks]
-    state = _state(mapped, given)
-    measured: dict[str, Any] = {"tracked": None, "measured_at": None}
-    if at is not None:
-        moving = [at if each.fixed else each.times for each in tracks]
-        stamps = [resampling.measured_at(at, times) - at[0] for times in moving]
-        measured["measured_at"] = np.stack(stamps, axis=1)
-        tracked = [resampling.is_tracked(at, times) for times in moving]
-        measured["tracked"] = np.stack(tracked, axis=1)
-        for node, each in enumerate(given):
-            measured["tracked"][:, node] &= each.get("tracked", np.ones((1, 1)))[:, 0] > 0.5
-    else:
-        now = mapped.dt * np.arange(states)[:, None]
-        for name, default in (("tracked", np.ones_like(now)), ("measured_at", now)):
-            if any(name in each for each in given):
-                measured[name] = np.concatenate([each.get(name, default) for each in given], axis=1)
+    states = max(len(each.times) for each in tracks.values()) if at is None else len(at)
+    given = {name: _at_times(track, at, states) for name, track in tracks.items()}
+    found: dict[str, Any] = {**_states(mapped, given, None)}
+    now = mapped.dt * np.arange(states)[:, None]
+    for name, default in (("tracked", np.ones_like(now)), ("measured_at", now)):
+        if any(name in each for each in given.values()):
+            found[name] = np.hstack([each.get(name, default) for each in given.values()])
+    for name in ("contact", "holding"):
+        if rows[name]:
+            found[name] = np.zeros((states, len(tracks), len(tracks)), dtype=bool)
+        for pair, (times, values) in zip(getattr(mapped.map, name), rows[name], strict=True):
+            one, other = (list(tracks).index(each) for each in pair.bodies)
+            flags = values[:, 0] > 0.5
+            flags = flags if at is None else resampling.any_within(at, times, flags)
+            found[name][:, one, other] = found[name][:, other, one] = flags
     control = [
         values[: states - 1] if at is None else resampling.held_means(at, times, values)
-        for times, values in controls
+        for times, values in rows["controls"]
     ]
-    control = [np.broadcast_to(each, (states - 1, each.shape[1])) for each in control]
-    flags = {name: _flags(mapped, name, pairs[name], at, states) for name in pairs}
     return Trajectory(
         map_scene(mapped, [each.shape[1] for each in control]),
         control=np.concatenate([np.zeros((states - 1, 0)), *control], axis=1),
-        **{**state, **measured, **flags},
+        **found,
     )
 
 
@@ -254,8 +232,13 @@ def _at_times(track: Track, at: np.ndarray | None, states: int) -> dict[str, np.
             found[name] = resampling.interpolated_turns(at, track.times, values)
         elif name == "tracked":
             found[name] = values[resampling.newest(at, track.times)]
-        elif name in STATE:
+        else:
             found[name] = resampling.interpolated(at, track.times, values)
+    if at is not None:
+        times = at if track.fixed else track.times
+        found["measured_at"] = (resampling.measured_at(at, times) - at[0])[:, None]
+        on_time = resampling.is_tracked(at, times)[:, None]
+        found["tracked"] = on_time & (found.get("tracked", np.ones(1)) > 0.5)
     return found
 
 
@@ -266,91 +249,77 @@ def state_after(mapped: MappedEpisode, previous: State | None) -> State:
     are not given are differences to it; at the start it is None, and these are 0. Without any
     orientation there are no turns.
     """
-    bodies = mapped.map.bodies
-    given = [_at_times(read_track(mapped, body), None, 1) for body in bodies]
+    given = {body.name: _at_times(read_track(mapped, body), None, 1) for body in mapped.map.bodies}
+    return {name: values[-1] for name, values in _states(mapped, given, previous).items()}
+
+
+def _states(mapped: MappedEpisode, given: Given, previous: State | None) -> State:
+    """Positions, velocities and turns [S, N, W] in the world, derived where not recorded; the first
+    are those of ``previous``, if any."""
     _to_world(mapped.map, given)
-    if previous is not None:
-        for node, each in enumerate(given):
-            for name, now in each.items():
-                each[name] = np.concatenate([previous[name][node][None], now])
-            if "orientation" in each:
-                each["orientation"] = resampling.continued(each["orientation"])
-    found = _with_rates(mapped, given)
-    return {name: np.stack([each[name][-1] for each in given]) for name in found}
+    for node, each in enumerate(given.values()):
+        for name, before in (previous or {}).items():
+            if name in each:
+                each[name] = np.concatenate([before[node][None], each[name]])
+        if previous and "orientation" in each:
+            each["orientation"] = resampling.continued(each["orientation"])
+    _add_rates(mapped, given)
+    names = STATE if any("orientation" in each for each in given.values()) else STATE[:2]
+    return {name: np.stack([each[name] for each in given.values()], axis=1) for name in names}
 
 
-def _state(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> dict[str, Any]:
-    """Positions, velocities and turns [T+1, N, W] in the world, derived where not recorded."""
-    _to_world(mapped.map, given)
-    names = _with_rates(mapped, given)
-    return {name: np.stack([each[name] for each in given], axis=1) for name in names}
-
-
-def _to_world(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> None:
+def _to_world(scene_map: SceneMap, given: Given) -> None:
     """Poses [S, W] of each body in the world, in the place of those that the map describes."""
     dimension = scene_map.dimension
-    if any("orientation" in each for each in given):
-        for each in given:
+    if any("orientation" in each for each in given.values()):
+        for each in given.values():
             unknown = np.full((len(each["position"]), 1 if dimension == 2 else 4), np.nan)
             each["orientation"] = resampling.continued(each.get("orientation", unknown))
-    by_name = _by_name(scene_map, given)
-    for body, each in zip(scene_map.bodies, given, strict=True):
+    for body in scene_map.bodies:
         if body.base is None:
             continue
-        offset, base = each["position"], by_name[body.base]
+        each, base = given[body.name], given[body.base]
+        offset = each["position"]
         if body.in_frame_of is not None:
-            offset = _turned(body, "in_frame_of", base, offset)
+            offset = _turned(body, "in_frame_of", base.get("orientation"), offset)
             each["orientation"] = _composed(base["orientation"], each["orientation"])
         each["position"] = base["position"] + offset
-    for body, each in zip(scene_map.bodies, given, strict=True):
+    for body in scene_map.bodies:
         if body.reference is not None:
             if body.reference.shape != (dimension,):
                 raise InvalidInputError(f"{body.name}: reference must have {dimension} numbers")
-            each["position"] = each["position"] + _turned(body, "reference", each, body.reference)
+            each = given[body.name]
+            offset = _turned(body, "reference", each.get("orientation"), body.reference)
+            each["position"] = each["position"] + offset
 
 
-def _with_rates(mapped: MappedEpisode, given: list[dict[str, np.ndarray]]) -> tuple[str, ...]:
-    """Adds the velocities [S, W] that are not given or known; the names of what there is then."""
-    bodies, dt = mapped.map.bodies, mapped.dt
-    turns = "orientation" in given[0]
-    by_name = _by_name(mapped.map, given)
-    for body in sorted(bodies, key=lambda body: body.base is not None):
-        each, recorded = by_name[body.name], by_name[body.name].get("velocity")
-        each["velocity"] = _difference(each["position"], dt)
-        if recorded is not None:
-            recorded = recorded + (0.0 if body.base is None else by_name[body.base]["velocity"])
-            known = np.isfinite(recorded).all(axis=1, keepdims=True)
-            each["velocity"] = np.where(known, recorded, each["velocity"])
-        if turns and body.angular_velocity is None:
+def _add_rates(mapped: MappedEpisode, given: Given) -> None:
+    """Adds the velocities [S, W] that are not given or known."""
+    dt = mapped.dt
+    for body in sorted(mapped.map.bodies, key=lambda body: body.base is not None):
+        each = given[body.name]
+        rate = np.diff(each["position"], axis=0, prepend=each["position"][:1]) / dt
+        rate[0] = rate[min(1, len(rate) - 1)]  # that of a single state is 0
+        if "velocity" in each:
+            base = 0.0 if body.base is None else given[body.base]["velocity"]
+            recorded = each["velocity"] + base
+            rate = np.where(np.isfinite(recorded).all(axis=1, keepdims=True), recorded, rate)
+        each["velocity"] = rate
+        if "orientation" in each and body.angular_velocity is None:
             turn = each["orientation"]
-            each["angular_velocity"] = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
-            known = np.isfinite(turn).all(axis=1)
-            rate = each["angular_velocity"]
+            rate = np.full((len(turn), 1 if turn.shape[1] == 1 else 3), np.nan)
+            known = np.asarray(np.isfinite(turn).all(axis=1))
             both = 1 + np.flatnonzero(known[1:] & known[:-1])
             if len(both):
                 rate[both] = angular_velocity(turn[both - 1], turn[both], dt)
             first = np.flatnonzero(known & np.isnan(rate[:, 0]))
             later = np.minimum(first + 1, len(rate) - 1)
             rate[first] = np.nan_to_num(rate[later])  # one that is known alone has none
-    return STATE if turns else STATE[:2]
+            each["angular_velocity"] = rate
 
 
-def _by_name(scene_map: SceneMap, given: list[dict[str, np.ndarray]]) -> dict[str, Any]:
-    return dict(zip((body.name for body in scene_map.bodies), given, strict=True))
-
-
-def _difference(position: np.ndarray, dt: float) -> np.ndarray:
-    """Backward differences; the first is the next one's, and 0 where there is none."""
-    rate = np.diff(position, axis=0, prepend=position[:1]) / dt
-    rate[:1] = rate[1:2] if len(rate) > 1 else 0.0
-    return rate
-
-
-def _turned(
-    body: BodyMap, key: str, given: dict[str, np.ndarray], vector: np.ndarray
-) -> np.ndarray:
+def _turned(body: BodyMap, key: str, turn: np.ndarray | None, vector: np.ndarray) -> np.ndarray:
     """[S, D]: vectors of a frame, whose orientation is given, in world axes."""
-    turn = given.get("orientation")
     if turn is None or not np.isfinite(turn).all():
         raise InvalidInputError(f"{body.name}: {key} needs an orientation at every step")
     if turn.shape[1] == 4:
@@ -368,24 +337,3 @@ def _composed(base: np.ndarray, turn: np.ndarray) -> np.ndarray:
     found = turn.copy()
     found[known] = quaternions_of(rotations(base[known]) * rotations(turn[known]))
     return resampling.continued(found)
-
-
-def _flags(
-    mapped: MappedEpisode,
-    name: str,
-    pairs: list[tuple[np.ndarray, np.ndarray]],
-    at: np.ndarray | None,
-    states: int,
-) -> np.ndarray | None:
-    """[T+1, N, N] bool: contact or holding of the map's pairs; None where it has none."""
-    maps: tuple[PairMap, ...] = getattr(mapped.map, name)
-    if not maps:
-        return None
-    names = [body.name for body in mapped.map.bodies]
-    found = np.zeros((states, len(names), len(names)), dtype=bool)
-    for pair, (times, values) in zip(maps, pairs, strict=True):
-        flags = values[:, 0] > 0.5
-        one, other = (names.index(each) for each in pair.bodies)
-        found[:, one, other] = flags if at is None else resampling.any_within(at, times, flags)
-        found[:, other, one] = found[:, one, other]
-    return found

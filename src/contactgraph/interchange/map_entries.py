@@ -1,14 +1,17 @@
 """Entries of import maps: columns of a recording with their scale and offset."""
 
 import reprlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.json_fields import JsonFields
 from contactgraph.interchange.recording import Column, Episode
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,32 +70,24 @@ def entries_at(table: JsonFields, name: str, further: tuple[str, ...] = ()) -> E
     if value is None:
         return None
     if isinstance(value, dict):
-        inner = table.inner(name)
-        check_keys(inner, "columns", "scale", "offset", *further)
-        return entries_of(inner, where)
+        return entries_of(table.inner(name), *further)
     if isinstance(value, list) and value and not isinstance(value[0], str):
         return Entries(where, constant=table.numbers(name, (None,)))
     return Entries(where, _columns(where, value))
 
 
-def entries_of(table: JsonFields, where: str) -> Entries:
-    """The entries that a table with ``columns`` is."""
-    columns = _columns(where, table.content.get("columns"))
-    given = {
-        name: np.atleast_1d(array_at(table, name))
-        for name in ("scale", "offset")
-        if name in table.content
-    }
-    return Entries(where, columns, **given)
+def entries_of(table: JsonFields, *further: str) -> Entries:
+    """The entries that a table with ``columns`` is; ``further`` are valid keys beside its own."""
+    check_keys(table, "columns", "scale", "offset", *further)
+    columns = _columns(table.where, table.content.get("columns"))
+    given = {key: array_at(table, key) for key in ("scale", "offset") if key in table.content}
+    return Entries(table.where, columns, **{key: np.atleast_1d(given[key]) for key in given})
 
 
 def _columns(where: str, value: Any) -> tuple[str, ...]:
-    found = (value,) if isinstance(value, str) else value
-    if (
-        not isinstance(found, list | tuple)
-        or not found
-        or not all(isinstance(each, str) and each for each in found)
-    ):
+    found = [value] if isinstance(value, str) else value
+    texts = isinstance(found, list) and all(isinstance(each, str) and each for each in found)
+    if not texts or not found:
         raise InvalidInputError(
             f"{where}: columns must be a text such as 'name[0:2]' or a list of them, "
             f"found {reprlib.repr(value)}"
@@ -102,10 +97,15 @@ def _columns(where: str, value: Any) -> tuple[str, ...]:
 
 def array_at(table: JsonFields, name: str) -> np.ndarray:
     """Finite numbers of any shape, or whole ones."""
-    value, axes = table.content[name], 0
+    value, axes = table.content.get(name), 0
     while isinstance(value, list) and value:
         value, axes = value[0], axes + 1
     return table.numbers(name, (None,) * axes)
+
+
+def optional(table: JsonFields, name: str, read: Callable[[JsonFields, str], _T]) -> _T | None:
+    """What is read under a key; None without it."""
+    return read(table, name) if name in table.content else None
 
 
 def positive_at(table: JsonFields, name: str) -> float:

@@ -1,6 +1,6 @@
 """Measurements of bodies and controls, and the scene, read from an episode by its map."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -72,10 +72,16 @@ class Track:
 def finite_rows(mapped: MappedEpisode, entries: Entries) -> tuple[np.ndarray, np.ndarray]:
     """Times [S] s and values [S, W] of the rows that have numbers."""
     column = entries.read(mapped.episode)
+    known = _known(column, entries.where)
+    return _times(mapped, column, known, entries.where), column.values[known]
+
+
+def _known(column: Column, where: str) -> np.ndarray:
+    """[S] bool: the rows that have numbers, at least one."""
     known = np.isfinite(column.values).all(axis=1)
     if not known.any():
-        raise InvalidInputError(f"{entries.where}: must have numbers, found none")
-    return _times(mapped, column, known, entries.where), column.values[known]
+        raise InvalidInputError(f"{where}: must have numbers, found none")
+    return np.asarray(known)
 
 
 def _times(mapped: MappedEpisode, column: Column, known: np.ndarray, where: str) -> np.ndarray:
@@ -94,47 +100,40 @@ def _times(mapped: MappedEpisode, column: Column, known: np.ndarray, where: str)
 def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
     """What the recording says of a body, in the map's units, where its position is known."""
     episode, dimension = mapped.episode, mapped.map.dimension
-    turning = 1 if dimension == 2 else 3
     size = dimension if body.keypoints is None else body.keypoints.size
     position = body.position.read(episode, size, missing=body.missing)
-    known = np.isfinite(position.values).all(axis=1)
-    if not known.any():
-        raise InvalidInputError(f"{body.position.where}: must have numbers, found none")
+    known = _known(position, body.position.where)
     values = {"position": position.values[known]}
     if body.keypoints is not None:
-        fitted = _fitted(body, values["position"], dimension)
-        known[np.flatnonzero(known)[~fitted[2]]] = False
-        values = {"position": fitted[0][fitted[2]], "orientation": fitted[1][fitted[2]]}
-    others = {"velocity": body.velocity, "angular_velocity": body.angular_velocity}
-    for name, entries in others.items():
-        if entries is not None:
-            width = dimension if name == "velocity" else turning
-            values[name] = _rows(entries.read(episode, width), position, known, entries.where)
-    if body.orientation is not None:
-        entries = body.orientation.entries
-        widths = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
-        read = entries.read(episode, *widths)
-        found = _rows(read, position, known, entries.where)
-        values["orientation"] = _orientation(body.orientation, found, read.axes, dimension)
-    for name in ("tracked", "measured_at"):
+        places, turns, fits = _fitted(body, values["position"], dimension)
+        known[np.flatnonzero(known)[~fits]] = False
+        values = {"position": places[fits], "orientation": turns[fits]}
+
+    def rows(entries: Entries, *widths: int) -> Column:
+        """Those at which the position is known; constant ones have one row."""
+        column = entries.read(episode, *widths)
+        where, count = entries.where, len(column.values)
+        if count not in (1, len(known)):
+            raise InvalidInputError(
+                f"{where}: must have a row for each position, {len(known)}, found {count}"
+            )
+        if count > 1 and not same_times(column, position):
+            raise InvalidInputError(f"{where}: must have the times of the position, found others")
+        return replace(column, values=column.values[known]) if count == len(known) else column
+
+    turning = 1 if dimension == 2 else 3
+    widths = {"velocity": dimension, "angular_velocity": turning, "tracked": 1, "measured_at": 1}
+    for name, width in widths.items():
         entries = getattr(body, name)
         if entries is not None:
-            values[name] = _rows(entries.read(episode, 1), position, known, entries.where)
+            values[name] = rows(entries, width).values
+    if body.orientation is not None:
+        sizes = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
+        found = rows(body.orientation.entries, *sizes)
+        values["orientation"] = _orientation(body.orientation, found, dimension)
     if body.position.constant is not None or (body.static and known.sum() == 1):
         return Track(np.zeros(0), values, "")
-    times = _times(mapped, position, known, body.position.where)
-    return Track(times, values, position.frame)
-
-
-def _rows(column: Column, position: Column, known: np.ndarray, where: str) -> np.ndarray:
-    """The rows of a column at which the position is known; constant ones have one row."""
-    if len(column.values) not in (1, len(known)):
-        raise InvalidInputError(
-            f"{where}: must have a row for each position, {len(known)}, found {len(column.values)}"
-        )
-    if len(column.values) > 1 and not same_times(column, position):
-        raise InvalidInputError(f"{where}: must have the times of the position, found others")
-    return column.values[known] if len(column.values) == len(known) else column.values
+    return Track(_times(mapped, position, known, body.position.where), values, position.frame)
 
 
 def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarray, ...]:
@@ -168,24 +167,19 @@ def _fitted(body: BodyMap, points: np.ndarray, dimension: int) -> tuple[np.ndarr
     return position, quaternions_of(Rotation.from_matrix(turn)), fits
 
 
-def _orientation(turn: Turn, read: np.ndarray, axes: str, dimension: int) -> np.ndarray:
-    """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known.
-
-    ``axes``: what the recording tells of the numbers, if anything.
-    """
+def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
+    """[S, 1] rad or [S, 4] unit quaternions; NaN throughout where some of it is not known."""
+    read, axes, where = column.values, column.axes, turn.entries.where
     known = np.isfinite(read).all(axis=1)
     euler = turn.euler if turn.euler.isupper() else turn.euler[::-1].upper()  # the same turns
     told = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
-    if (euler or turn.order) and told not in ("", euler or turn.order):
-        raise InvalidInputError(
-            f"{turn.entries.where}: must be in the recording's order, {told}, "
-            f"found {euler or turn.order}"
-        )
+    given = euler or turn.order
+    if given and told not in ("", given):
+        raise InvalidInputError(f"{where}: must be in the recording's order, {told}, found {given}")
     if not turn.euler and read.shape[1] == 1:
         if turn.order or turn.axis or turn.turned_by is not None:
             raise InvalidInputError(
-                f"{turn.entries.where}: order, axis and turned_by are for quaternions, "
-                "found an angle"
+                f"{where}: order, axis and turned_by are for quaternions, found an angle"
             )
         return np.where(known[:, None], read, np.nan)
     if turn.euler:
@@ -199,7 +193,7 @@ def _orientation(turn: Turn, read: np.ndarray, axes: str, dimension: int) -> np.
         if len(wrong):
             row = np.flatnonzero(known)[wrong[0]]
             raise InvalidInputError(
-                f"{turn.entries.where}: quaternions must not be zero, found one in row {row}"
+                f"{where}: quaternions must not be zero, found one in row {row}"
             )
         found = found / length
     if turn.turned_by is not None and len(found):
@@ -218,14 +212,13 @@ def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:
     axis = 1 + "xyz".index(turn.axis or "z")
 
     def about(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = 2.0 * np.arctan2(found[:, axis], found[:, 0])
-        return angle, found[:, axis] ** 2 + found[:, 0] ** 2
+        sine, cosine = found[:, axis], found[:, 0]
+        return 2.0 * np.arctan2(sine, cosine), sine**2 + cosine**2
 
     angle, defined = about(quaternion)
     if len(quaternion) and defined.min() < _DEFINED:
         first = rotations(quaternion[0])
-        since = quaternions_of(rotations(quaternion) * first.inv())
-        angle, defined = about(since)
+        angle, defined = about(quaternions_of(rotations(quaternion) * first.inv()))
         if defined.min() < _DEFINED:
             raise InvalidInputError(
                 f"{turn.entries.where}: the turn about {turn.axis or 'z'} is undefined in row "
@@ -242,23 +235,22 @@ def map_scene(mapped: MappedEpisode, widths: list[int]) -> Scene:
 
     ``widths`` are the numbers of components of the map's controls.
     """
-    found = mapped.map
-    bodies = found.bodies
-    outlines = [(index, each) for index, body in enumerate(bodies) for each in body.polygons]
-    constants: dict[str, Any] = {
-        name: _constant(name, found)
-        for name in ("mass", "radius", "size", "anchor", "reach")
-        if any(name in body.constants for body in bodies)
-    }
-    goal = None if found.goal is None else found.goal.read(mapped.episode, found.dimension).values
-    if goal is not None:
-        goal = goal[np.isfinite(goal).all(axis=1)]
-        if not len(goal):
-            raise InvalidInputError(f"{found.where}: goal: must have numbers, found none")
-    scene: dict[str, Any] = {
-        name: value.astype(np.int64) if name in ("pins", "candidate_edges") else value
+    found, bodies = mapped.map, mapped.map.bodies
+    given: dict[str, Any] = {
+        name: value.astype(np.int64) if name == "pins" else value
         for name, value in found.scene.items()
     }
+    for name in ("mass", "radius", "size", "anchor", "reach"):
+        if any(name in body.constants for body in bodies):
+            given[name] = _constant(name, found)
+    if found.goal is not None:
+        goal = found.goal.read(mapped.episode, found.dimension)
+        given["goal"] = goal.values[_known(goal, found.goal.where)][0]
+    if any(body.static is not None for body in bodies):
+        given["static"] = np.array([bool(body.static) for body in bodies])
+    outlines = [(index, each) for index, body in enumerate(bodies) for each in body.polygons]
+    if outlines:
+        given["polygon_of"], given["polygons"] = zip(*outlines, strict=True)
     components = [
         each for each, width in zip(found.controls, widths, strict=True) for _ in range(width)
     ]
@@ -269,38 +261,23 @@ def map_scene(mapped: MappedEpisode, widths: list[int]) -> Scene:
         actuated=np.array([body.actuated for body in bodies]),
         dt=mapped.dt,
         dimension=found.dimension,
-        goal=None if goal is None else goal[0],
-        static=None
-        if all(body.static is None for body in bodies)
-        else np.array([bool(body.static) for body in bodies]),
         control_kind=tuple(each.kind for each in components),
-        control_of=np.array(acting).reshape(len(bodies), sum(widths)),
-        polygons=tuple(each for _, each in outlines) or None,
-        polygon_of=np.array([index for index, _ in outlines]) if outlines else None,
-        **constants,
-        **scene,
+        control_of=np.array(acting).reshape(len(bodies), len(components)),
+        **given,
     )
 
 
 def _constant(name: str, found: SceneMap) -> np.ndarray:
     """[N, …] of a constant that some bodies have; NaN for the others."""
-    shape = {
-        "mass": (),
-        "radius": (),
-        "size": (found.dimension,),
-        "anchor": (found.dimension,),
-        "reach": (2, found.dimension),
-    }[name]
+    shapes: dict[str, tuple[int, ...]] = {"mass": (), "radius": (), "reach": (2, found.dimension)}
+    shape = shapes.get(name, (found.dimension,))
     rows = []
     for body in found.bodies:
-        value = body.constants.get(name, np.full(shape, np.nan))
-        if not shape and name not in body.constants:
-            raise InvalidInputError(
-                f"{found.where}: {body.name}: {name} must be given, as another body's is"
-            )
+        value, where = body.constants.get(name), f"{found.where}: {body.name}: {name}"
+        if value is None and not shape:
+            raise InvalidInputError(f"{where} must be given, as another body's is")
+        value = np.full(shape, np.nan) if value is None else value
         if value.shape != shape:
-            raise InvalidInputError(
-                f"{found.where}: {body.name}: {name} must have shape {shape}, found {value.shape}"
-            )
+            raise InvalidInputError(f"{where} must have shape {shape}, found {value.shape}")
         rows.append(value)
     return np.stack(rows)

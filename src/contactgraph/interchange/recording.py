@@ -56,14 +56,11 @@ class Episode:
 
         Raises `InvalidInputError`, which lists what is there, for others.
         """
-        if reference in self.columns:
-            self.used.add(reference)
-            return self.columns[reference]
-        sliced = _SLICE.fullmatch(reference)
+        sliced = None if reference in self.columns else _SLICE.fullmatch(reference)
         name = sliced["name"] if sliced else reference
-        if name in self.others:
+        if name in self.others and reference not in self.columns:
             raise InvalidInputError(f"column {name!r} must be numbers, found {self.others[name]}")
-        if sliced is None or name not in self.columns:
+        if name not in self.columns:
             there = [f"{each}[{c.values.shape[1]}]" for each, c in self.columns.items()]
             more = f", … ({len(there)} in all)" if len(there) > _SHOWN else ""
             raise InvalidInputError(
@@ -71,6 +68,8 @@ class Episode:
             )
         self.used.add(name)
         column = self.columns[name]
+        if sliced is None:
+            return column
         start, width = int(sliced["start"]), column.values.shape[1]
         stop = int(sliced["stop"]) if sliced["stop"] else start + 1
         if not start < stop <= width:

@@ -44,7 +44,7 @@ def even_times(
         raise InvalidInputError(
             f"times must be less than {LARGEST} steps of {dt:g} s, found {end - begin:g} s"
         )
-    times = begin + dt * np.arange(max(int(count), 0))
+    times = begin + dt * np.arange(int(count))
     known = np.ones(len(times), dtype=bool)
     for stamps in bodies:
         for gap in np.flatnonzero(np.diff(stamps) > max_gap):
@@ -68,8 +68,7 @@ def interpolated_turns(at: np.ndarray, stamps: np.ndarray, turns: np.ndarray) ->
         return interpolated(at, stamps, continued(turns))
     from scipy.spatial.transform import Slerp  # slow to import
 
-    found = Slerp(stamps, rotations(turns))(np.clip(at, stamps[0], stamps[-1]))
-    return quaternions_of(found)
+    return quaternions_of(Slerp(stamps, rotations(turns))(np.clip(at, stamps[0], stamps[-1])))
 
 
 def continued(turns: np.ndarray) -> np.ndarray:

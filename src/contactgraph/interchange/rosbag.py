@@ -110,11 +110,9 @@ def _check_profile(path: Path) -> None:
             "`ros2 bag convert` write it"
         )
     if profile != "ros2":
-        kind = (
-            f"has the profile {profile!r}" if profile else "has no profile, as of JSON or Protobuf"
-        )
+        kind = f"the profile {profile!r}" if profile else "no profile, as of JSON or Protobuf"
         raise InvalidInputError(
-            f"{path}: must be a recording of ROS 2, but it {kind}; write its numbers as CSV instead"
+            f"{path}: must be a recording of ROS 2, but has {kind}; write numbers as CSV instead"
         )
 
 
@@ -124,7 +122,7 @@ def _by_label(rows: dict[str, list[Part]], others: dict[str, str]) -> dict[str, 
     for name, each in rows.items():
         labels = each[0].labels
         for part in each:
-            by_label = dict(zip(part.labels, part.values, strict=True)) if part.labels else {}
+            by_label = dict(zip(part.labels, part.values, strict=False))
             for label, number in by_label.items():
                 found[f"{name}.{label}"].append(part._replace(values=np.array([number])))
             if sorted(part.labels) != sorted(labels):
@@ -157,13 +155,11 @@ def _episodes(name: str, rows: dict[str, list[Part]], others: dict[str, str]) ->
     """The parts of a recording in which no clock is set back."""
     for column, each in rows.items():
         unset = sum(row.stamp == 0 for row in each)
-        if unset < len(each) and max(row.stamp or 0 for row in each) > _EPOCH and unset:
+        if unset and max(row.stamp or 0 for row in each) > _EPOCH:
             rows[column] = [row for row in each if row.stamp != 0]
             others[f"{column}, {unset} messages without a stamp"] = "numbers"
     stamps = {column: _stamps(each) for column, each in rows.items()}
-    cuts = sorted(
-        {each[at].order for column, each in rows.items() for at in _set_back(stamps[column])}
-    )
+    cuts = sorted({rows[each][at].order for each in rows for at in _set_back(stamps[each])})
     begin = min((int(each.min()) for each in stamps.values()), default=0)
     episodes = []
     for index in range(len(cuts) + 1):
@@ -177,9 +173,8 @@ def _episodes(name: str, rows: dict[str, list[Part]], others: dict[str, str]) ->
                 times, first = np.unique(stamps[column][mine] - begin, return_index=True)
                 kept, like = np.stack(values)[first], each[0]
                 columns[column] = Column(kept, 1e-9 * times, like.frame, like.axes)
-                if len(first) < len(values):
-                    same = f"{column}, {len(values) - len(first)} messages with another's stamp"
-                    others[same] = "numbers"
+                if shared := len(values) - len(first):
+                    others[f"{column}, {shared} messages with another's stamp"] = "numbers"
         of = f", part {index + 1} of {len(cuts) + 1}, between which a clock was set back"
         episodes.append(Episode(name + (of if cuts else ""), columns, others))
     return episodes
@@ -188,9 +183,8 @@ def _episodes(name: str, rows: dict[str, list[Part]], others: dict[str, str]) ->
 def _stamps(rows: list[Part]) -> np.ndarray:
     """[S] ns: of headers, unless they are not set."""
     stamps = [row.stamp for row in rows]
-    if None in stamps or not any(stamps):
-        return np.array([row.recorded for row in rows])
-    return np.array(stamps)
+    unset = None in stamps or not any(stamps)
+    return np.array([row.recorded for row in rows] if unset else stamps)
 
 
 def _set_back(stamps: np.ndarray) -> list[int]:
@@ -227,9 +221,8 @@ def _parts(path: Path, others: dict[str, str], orders: Iterator[int]) -> Iterato
         with Reader(path) as reader:
             known = [each for each in reader.connections if each.msgtype in store.fielddefs]
             for each in reader.connections:
-                unknown = each.msgtype not in store.fielddefs
-                what = f"messages of the unknown type {each.msgtype}" if unknown else "no numbers"
-                others[each.topic] = what
+                unknown = f"messages of the unknown type {each.msgtype}"
+                others[each.topic] = "no numbers" if each.msgtype in store.fielddefs else unknown
             # `Reader.messages` would sort by time, which hides that a clock was set back.
             storage: Any = reader.storage
             for connection, recorded, content in storage.messages_scan(known):

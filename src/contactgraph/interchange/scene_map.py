@@ -1,7 +1,8 @@
 """Import maps: TOML files that say which columns of a recording are bodies, control and goal."""
 
 import tomllib
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from contactgraph.interchange.map_entries import (
     check_keys,
     entries_at,
     entries_of,
+    optional,
     positive_at,
 )
 from contactgraph.interchange.recording import check_file
@@ -140,17 +142,16 @@ def read_map(name: str) -> SceneMap:
     """
     path = Path(name)
     if not path.is_file() and name in shipped_maps():
-        text = shipped_map_text(name)
-    elif not path.exists() and not path.suffix:
+        return parse_map(name, shipped_map_text(name))
+    if not path.exists() and not path.suffix:
         raise InvalidInputError(
             f"{name}: no such map; maps that ship are {', '.join(shipped_maps())}"
         )
-    else:
-        check_file(path, _LARGEST_MAP)
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, ValueError) as error:
-            raise InvalidInputError(f"{path}: must be a text in UTF-8 ({error})") from error
+    check_file(path, _LARGEST_MAP)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(f"{path}: must be a text in UTF-8 ({error})") from error
     return parse_map(name, text)
 
 
@@ -172,101 +173,82 @@ def parse_map(where: str, text: str) -> SceneMap:
         where=where,
         dimension=root.count("dimension", 2),
         bodies=tuple(map(_body, root.each("body"))),
-        controls=tuple(map(_control, _tables(root, "control"))),
+        controls=tuple(map(_control, optional(root, "control", JsonFields.each) or ())),
         goal=entries_at(root, "goal"),
-        contact=tuple(map(_pair, _tables(root, "contact"))),
-        holding=tuple(map(_pair, _tables(root, "holding"))),
-        dt=positive_at(time, "dt") if "dt" in time.content else None,
-        time=entries_of(time, f"{where}: time") if "columns" in time.content else None,
-        max_gap=positive_at(time, "max_gap") if "max_gap" in time.content else MAX_GAP,
+        contact=tuple(map(_pair, optional(root, "contact", JsonFields.each) or ())),
+        holding=tuple(map(_pair, optional(root, "holding", JsonFields.each) or ())),
+        dt=optional(time, "dt", positive_at),
+        time=entries_of(time, "dt", "max_gap") if "columns" in time.content else None,
+        max_gap=optional(time, "max_gap", positive_at) or MAX_GAP,
         scene={name: array_at(root, name) for name in _CONSTANTS if name in content},
-        environment=root.text("environment") if "environment" in content else "",
+        environment=optional(root, "environment", JsonFields.text) or "",
     )
-    _check(found)
+    for reason in _contradictions(found):
+        raise InvalidInputError(reason)
     return found
 
 
-def _check(found: SceneMap) -> None:
-    names = [body.name for body in found.bodies]
-    if found.dimension not in (2, 3) or not names:
-        raise InvalidInputError(
-            f"{found.where}: dimension must be 2 or 3 and at least one [[body]] must be there"
-        )
+def _contradictions(found: SceneMap) -> Iterator[str]:
     bodies = {body.name: body for body in found.bodies}
+    if found.dimension not in (2, 3) or not bodies:
+        yield f"{found.where}: dimension must be 2 or 3 and at least one [[body]] must be there"
     for body in found.bodies:
-        if body.bounds is not None and body.bounds.shape != (2, found.dimension):
-            raise InvalidInputError(
-                f"{found.where}: {body.name}: bounds must have shape (2, {found.dimension}), "
-                f"found {body.bounds.shape}"
-            )
-        if body.bounds is not None and not np.all(body.bounds[0] < body.bounds[1]):
-            raise InvalidInputError(
-                f"{found.where}: {body.name}: bounds must be the lower corner, then the upper one"
-            )
+        where = f"{found.where}: {body.name}"
+        bounds, shape = body.bounds, (2, found.dimension)
+        if bounds is not None and bounds.shape != shape:
+            yield f"{where}: bounds must have shape {shape}, found {bounds.shape}"
+        if bounds is not None and not np.all(bounds[0] < bounds[1]):
+            yield f"{where}: bounds must be the lower corner, then the upper one"
         if body.orientation is not None and body.orientation.axis and found.dimension == 3:
-            raise InvalidInputError(f"{found.where}: {body.name}: axis is for bodies of the plane")
+            yield f"{where}: axis is for bodies of the plane"
         if body.position.constant is not None and body.missing is not None:
-            raise InvalidInputError(f"{found.where}: {body.name}: missing is for recorded numbers")
+            yield f"{where}: missing is for recorded numbers"
         base = body.base
         if base is not None and (base not in bodies or bodies[base].base is not None):
             key = "relative_to" if body.in_frame_of is None else "in_frame_of"
-            raise InvalidInputError(
-                f"{found.where}: {body.name}: {key} must name a body in world coordinates, "
-                f"found {base!r}"
-            )
-        recorded = {"relative_to": body.relative_to, "velocity": body.velocity}
-        recorded["angular_velocity"] = body.angular_velocity
-        for key, value in recorded.items():
-            if body.in_frame_of is not None and value is not None:
-                raise InvalidInputError(f"{found.where}: {body.name}: in_frame_of excludes {key}")
+            yield f"{where}: {key} must name a body in world coordinates, found {base!r}"
+        for key in ("relative_to", "velocity", "angular_velocity"):
+            if body.in_frame_of is not None and getattr(body, key) is not None:
+                yield f"{where}: in_frame_of excludes {key}"
     for each in found.controls:
         for name in each.bodies:
             if name not in bodies or not bodies[name].actuated:
-                raise InvalidInputError(
-                    f"{each.entries.where}: body must name a body with actuated = true, "
-                    f"found {name!r}"
-                )
+                where = each.entries.where
+                yield f"{where}: body must name a body with actuated = true, found {name!r}"
     for pair in (*found.contact, *found.holding):
-        if len(pair.bodies) != 2 or not set(pair.bodies) <= set(names):
-            raise InvalidInputError(
-                f"{pair.entries.where}: bodies must name two of {', '.join(names)}"
-            )
+        if len(pair.bodies) != 2 or not set(pair.bodies) <= set(bodies):
+            yield f"{pair.entries.where}: bodies must name two of {', '.join(bodies)}"
 
 
 def _body(table: JsonFields) -> BodyMap:
-    own = ("name", "type", "position", "keypoints", "orientation", "velocity", "angular_velocity")
-    further = ("relative_to", "in_frame_of", "reference", "actuated", "static", "tracked")
-    limits = ("measured_at", "missing", "max_speed", "bounds", "polygons")
-    check_keys(table, *own, *further, *limits, *_OF_BODY)
     there = table.content
-    keypoints = table.inner("keypoints") if "keypoints" in there else None
-    if (keypoints is None) == ("position" not in there):
+    own = [each.name for each in fields(BodyMap) if each.name != "constants"]
+    check_keys(table, *own, *_OF_BODY)
+    key = "keypoints" if "keypoints" in there else "position"
+    entries = entries_at(table, key, ("points",))
+    if entries is None or {"keypoints", "position"} <= set(there):
         raise InvalidInputError(f"{table.where}: must have either position or keypoints")
-    if keypoints is not None:
-        if "orientation" in there:
-            raise InvalidInputError(f"{table.where}: keypoints tell the orientation as well")
-        check_keys(keypoints, "columns", "scale", "offset", "points")
-    entries = entries_at(table, "position" if keypoints is None else "keypoints", ("points",))
-    assert entries is not None
+    if {"keypoints", "orientation"} <= set(there):
+        raise InvalidInputError(f"{table.where}: keypoints tell the orientation as well")
     return BodyMap(
         name=table.text("name"),
-        type=table.text("type") if "type" in there else "object",
+        type=optional(table, "type", JsonFields.text) or "object",
         position=entries,
-        keypoints=None if keypoints is None else array_at(keypoints, "points"),
+        keypoints=array_at(table.inner(key), "points") if key == "keypoints" else None,
         orientation=_turn(table),
         velocity=entries_at(table, "velocity"),
         angular_velocity=entries_at(table, "angular_velocity"),
-        relative_to=table.text("relative_to") if "relative_to" in there else None,
-        in_frame_of=table.text("in_frame_of") if "in_frame_of" in there else None,
-        missing=table.number("missing") if "missing" in there else None,
-        max_speed=positive_at(table, "max_speed") if "max_speed" in there else None,
+        relative_to=optional(table, "relative_to", JsonFields.text),
+        in_frame_of=optional(table, "in_frame_of", JsonFields.text),
+        missing=optional(table, "missing", JsonFields.number),
+        max_speed=optional(table, "max_speed", positive_at),
         reference=table.numbers("reference", (None,)) if "reference" in there else None,
-        actuated="actuated" in there and table.truth("actuated"),
-        static=table.truth("static") if "static" in there else None,
+        actuated=optional(table, "actuated", JsonFields.truth) or False,
+        static=optional(table, "static", JsonFields.truth),
         bounds=table.numbers("bounds", (2, None)) if "bounds" in there else None,
         tracked=entries_at(table, "tracked"),
         measured_at=entries_at(table, "measured_at"),
-        polygons=_polygons(table) if "polygons" in there else (),
+        polygons=optional(table, "polygons", _polygons) or (),
         constants={name: array_at(table, name) for name in _OF_BODY if name in there},
     )
 
@@ -278,12 +260,12 @@ def _turn(table: JsonFields) -> Turn | None:
     value = table.content["orientation"]
     if not isinstance(value, dict):
         return Turn(entries)
-    given = {key: value[key] for key in ("order", "euler", "axis") if key in value}
     valid = {
         "order": ("wxyz", "xyzw"),
         "axis": ("x", "y", "z"),
         "euler": tuple(f"{a}{b}{c}" for s in ("xyz", "XYZ") for a in s for b in s for c in s),
     }
+    given = {key: value[key] for key in valid if key in value}
     for key, text in given.items():
         if text not in valid[key]:
             raise InvalidInputError(
@@ -291,34 +273,26 @@ def _turn(table: JsonFields) -> Turn | None:
             )
     if "order" in given and "euler" in given:
         raise InvalidInputError(f"{entries.where}: order is for quaternions, euler for angles")
-    inner = table.inner("orientation")
-    mount = inner.numbers("turned_by", (4,)) if "turned_by" in value else None
+    mount = table.inner("orientation").numbers("turned_by", (4,)) if "turned_by" in value else None
     if mount is not None and not mount.any():
         raise InvalidInputError(f"{entries.where}: turned_by must not be zero")
     return Turn(entries, **given, turned_by=mount)
 
 
 def _control(table: JsonFields) -> ControlMap:
-    check_keys(table, "columns", "scale", "offset", "kind", "body")
-    body = table.content.get("body", [])
-    several = table.names("body") if body and isinstance(body, list) else ()
-    bodies = several if isinstance(body, list) else (table.text("body"),)
-    return ControlMap(entries_of(table, table.where), table.text("kind"), bodies)
+    bodies = table.content.get("body", [])
+    if bodies != []:
+        bodies = table.names("body") if isinstance(bodies, list) else (table.text("body"),)
+    return ControlMap(entries_of(table, "kind", "body"), table.text("kind"), tuple(bodies))
 
 
 def _pair(table: JsonFields) -> PairMap:
-    check_keys(table, "bodies", "columns", "scale", "offset")
-    return PairMap(table.names("bodies"), entries_of(table, table.where))
+    return PairMap(entries=entries_of(table, "bodies"), bodies=table.names("bodies"))
 
 
-def _tables(root: JsonFields, name: str) -> list[JsonFields]:
-    return root.each(name) if name in root.content else []
-
-
-def _polygons(table: JsonFields) -> tuple[np.ndarray, ...]:
-    outlines = table.content["polygons"]
+def _polygons(table: JsonFields, name: str) -> tuple[np.ndarray, ...]:
+    outlines = table.content[name]
     if not isinstance(outlines, list):
-        raise InvalidInputError(f"{table.where}: polygons must be a list of lists of points")
-    named = {f"polygons[{index}]": each for index, each in enumerate(outlines)}
-    inner = JsonFields(table.where, named)
-    return tuple(inner.numbers(name, (None, None)) for name in named)
+        raise InvalidInputError(f"{table.where}: {name} must be a list of lists of points")
+    inner = JsonFields(table.where, {f"{name}[{n}]": each for n, each in enumerate(outlines)})
+    return tuple(inner.numbers(each, (None, None)) for each in inner.content)
