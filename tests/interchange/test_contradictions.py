@@ -218,19 +218,28 @@ def test_the_order_of_a_quaternion_is_that_of_the_recording(tmp_path: Path) -> N
     named = table(tmp_path, "time,x,y,q_x,q_y,q_z,q_w", rows.tolist())
     (one,) = imported(named, XY + 'orientation = ["q_x", "q_y", "q_z", "q_w"]\n')
     np.testing.assert_allclose(one.orientation[:, 0, 0], TIME, atol=1e-4)
+    first = '{ columns = ["q_x", "q_y", "q_z", "q_w"], order = "wxyz", axis = "x" }'
+    (one,) = imported(named, XY + f"orientation = {first}\n")  # the map knows better than names
+    assert np.isfinite(one.orientation).all()
 
 
-@pytest.mark.parametrize("euler", ["XYZ", "zyx", "ZYX"])
-def test_euler_angles_of_motive_are_degrees(tmp_path: Path, euler: str) -> None:
+@pytest.mark.parametrize(
+    ("euler", "scale"),
+    [("XYZ", np.pi / 180), ("zyx", np.pi / 180), ("ZYX", np.pi / 180), ("XYZ", 1)],
+)
+def test_euler_angles_of_motive_are_degrees(tmp_path: Path, euler: str, scale: float) -> None:
     head = "Format Version,1.23,Export Frame Rate,20,Rotation Type,XYZ,Length Units,Millimeters"
     parts = ",,Rotation,Rotation,Rotation,Position,Position,Position\nFrame,Time,X,Y,Z,X,Y,Z\n"
     rows = "".join(f"{n},{n / 20},0,{n},0,{15 * n},0,0\n" for n in range(40))
     path = tmp_path / "take.csv"
     path.write_text(f"{head}\n,Name{',Box' * 6}\n{parts}{rows}")
     text = SPACE + BODY.format('"Box.position"')
-    text += f'orientation = {{ columns = "Box.rotation", euler = "{euler}" }}\n'
-    if euler == "ZYX":
-        assert "must be in the recording's order, XYZ" in refused(read_csv(path), text, None)
+    turn = f'columns = "Box.rotation", euler = "{euler}", scale = {scale}'
+    text += f"orientation = {{ {turn} }}\n"
+    if euler == "ZYX" or scale == 1:
+        message = refused(read_csv(path), text, None)
+        wrong = "must be in the recording's order, XYZ" if scale < 1 else "are recorded in degrees"
+        assert wrong in message
         return
     (one,) = imported(read_csv(path), text, None)
     np.testing.assert_allclose(

@@ -259,7 +259,7 @@ def _motive(table: _Table) -> tuple[list[Episode], set[float | None]]:
     parts = next((each for each in reversed(header) if len(each) > 2 and not each[1]), [])
     if min(map(len, (names, parts, kinds))) < len(axes):
         raise table.error("must have lines of Name and of Rotation and Position")
-    unit_of = {"position": _MOTIVE_UNITS[unit], "rotation": "1" if "W" in axes else "deg"}
+    unit_of = {"position": _MOTIVE_UNITS[unit]}
     labels: _Labels = []
     for name, kind, part, axis in zip(names, kinds, parts, axes, strict=False):
         body = f"{name} ({kind})" if kind.endswith("Marker") else name
@@ -284,7 +284,8 @@ def _add(
         if text or len(set(axes)) < len(axes) or not set(units) <= set(_SI):
             episode.others[name] = text or f"{len(axes)} numbers in {', '.join(sorted(set(units)))}"
             continue
-        order = "".join(axes).lower() if len(axes) == 4 else euler if "deg" in units else ""
+        angles = euler if name.endswith(".rotation") else ""
+        order = "".join(axes).lower() if len(axes) == 4 else angles
         scale = [_SI[unit] for unit in units]
         episode.columns[name] = Column(values[:, group] * scale, stamps, axes=order)
 

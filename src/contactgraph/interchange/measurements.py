@@ -174,8 +174,11 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     euler = turn.euler if turn.euler.isupper() else turn.euler[::-1].upper()  # the same turns
     told = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
     given = euler or turn.order
-    if given and told not in ("", given):
+    certain = len(turn.entries.columns) == 1  # names of single columns may be wrong
+    if certain and given and told not in ("", given):
         raise InvalidInputError(f"{where}: must be in the recording's order, {told}, found {given}")
+    if told.isupper() and np.all(turn.entries.scale == 1.0):
+        raise InvalidInputError(f"{where}: angles are recorded in degrees: scale = 0.0174533")
     if not turn.euler and read.shape[1] == 1:
         if turn.order or turn.axis or turn.turned_by is not None:
             raise InvalidInputError(
