@@ -75,9 +75,9 @@ class Import:
             hint = "leave velocity out of the map to derive them from positions"
             print(f"warning: {warning}; {hint}", file=sys.stderr)
         motions = body_motions(dataset)
-        for warning in motion_warnings(motions):
-            hint = " missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
-            print(f"warning: {warning}{hint * ('jump' in warning)}", file=sys.stderr)
+        hint = " missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
+        for warning in motion_warnings(motions, hint):
+            print(f"warning: {warning}", file=sys.stderr)
         write(self.out, dataset.trajectories, dataset.metadata)
         steps = sum(each.steps for each in dataset)
         names = ", ".join(dataset.trajectories[0].scene.node_name)

@@ -155,7 +155,7 @@ class Report:
         training = run_folder(self.model)
         metrics = report_metrics(results, summary)
         data = ReportData(
-            title=f"A contact graph: {task.summary}",
+            title=f"A contact graph: {task.summary or self.task}",
             summary="A model learned from recorded trajectories of a gripper when bodies touch and "
             "how they move then; iLQR-MPC uses it to do the same in new scenes.",
             metrics=metrics,

@@ -254,8 +254,6 @@ def chain_cost(
         raise InvalidInputError(f"chain must name nodes 0 to {node_count - 1}, found {chain}")
     if not control_weight > 0:
         raise InvalidInputError(f"control_weight must be positive, found {control_weight}")
-    if not terminal_weight >= 0:
-        raise InvalidInputError(f"terminal_weight must be at least 0, found {terminal_weight}")
     if not (command_weight is None or command_weight > 0):
         raise InvalidInputError(f"command_weight must be positive, found {command_weight}")
     pick = _checked_weights("pick_weights", pick_weights, 2 * dimension)

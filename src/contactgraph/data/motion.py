@@ -61,8 +61,8 @@ def body_motions(dataset: Dataset) -> list[BodyMotion]:
     return [_motion(dataset, name) for name in names]
 
 
-def motion_warnings(motions: list[BodyMotion]) -> list[str]:
-    """A line for each sign that bodies cannot have moved so."""
+def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
+    """A line for each sign that bodies cannot have moved so; ``hint`` is for those that jump."""
     found = []
     jumping = {"positions": "jumps", "turns": "turn_jumps"}
     for what, name in jumping.items():
@@ -72,7 +72,7 @@ def motion_warnings(motions: list[BodyMotion]) -> list[str]:
         if those:
             found.append(
                 f"{what} jump: {', '.join(those)}, in one step by more than {_ISOLATED:g} times "
-                "those before and after; are these measurements?"
+                f"those before and after; are these measurements?{hint}"
             )
     for each in motions:
         if not 1.0 / _OTHER_RATE < each.rate_ratio < _OTHER_RATE:

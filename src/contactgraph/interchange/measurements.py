@@ -172,12 +172,14 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     read, axes, where = column.values, column.axes, turn.entries.where
     known = np.isfinite(read).all(axis=1)
     euler = turn.euler if turn.euler.isupper() else turn.euler[::-1].upper()  # the same turns
-    told = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
+    recorded = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
     given = euler or turn.order
     certain = len(turn.entries.columns) == 1  # names of single columns may be wrong
-    if certain and given and told not in ("", given):
-        raise InvalidInputError(f"{where}: must be in the recording's order, {told}, found {given}")
-    if told.isupper() and np.all(turn.entries.scale == 1.0):
+    if certain and given and recorded not in ("", given):
+        raise InvalidInputError(
+            f"{where}: must be in the recording's order, {recorded}, found {given}"
+        )
+    if recorded.isupper() and np.all(turn.entries.scale == 1.0):
         raise InvalidInputError(f"{where}: angles are recorded in degrees: scale = 0.0174533")
     if not turn.euler and read.shape[1] == 1:
         if turn.order or turn.axis or turn.turned_by is not None:
@@ -190,7 +192,7 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
 
         found = quaternions_of(Rotation.from_euler(turn.euler, read[known]))
     else:
-        found = read[known][:, [(turn.order or told or "wxyz").index(each) for each in "wxyz"]]
+        found = read[known][:, [(turn.order or recorded or "wxyz").index(each) for each in "wxyz"]]
         length = np.linalg.norm(found, axis=1, keepdims=True)
         wrong = np.flatnonzero(~(length[:, 0] > _TINY))
         if len(wrong):

@@ -140,7 +140,7 @@ def files_of(source: Path, suffixes: Sequence[str]) -> list[Path]:
     if not source.is_dir():
         return [source]
     found = [each for each in source.iterdir() if each.suffix.lower() in suffixes]
-    found.sort(key=lambda each: [int(p) if p.isdigit() else p for p in _NUMBER.split(each.name)])
+    found.sort(key=lambda each: [int(p) if p.isdecimal() else p for p in _NUMBER.split(each.name)])
     if not found:
         raise InvalidInputError(f"{source}: no file that ends in {' or '.join(suffixes)}")
     return found

@@ -199,7 +199,7 @@ def cell_candidates(
     Arguments as of `NeighborList`.
     """
     count, dimension = position.shape
-    # Cells repeat with period `side`: nodes of two that share an index are told by their distance.
+    # Cells repeat with period `side`: those that share an index differ in distance.
     side = max(4, int(np.ceil((2.0 * count) ** (1.0 / dimension))))
     cells = side**dimension
     length = cutoff + 2.0 * jnp.max(jnp.where(mask, bound, 0.0))
@@ -235,9 +235,9 @@ def _without_gaps(corner: Int[Array, " N"]) -> Int[Array, " N"]:
 
     Without it, a scene whose spacing is a period of the cells has many nodes in each.
     """
-    order = jnp.argsort(corner)
-    steps = jnp.diff(corner[order], prepend=corner[order[:1]])
-    return jnp.zeros_like(corner).at[order].set(jnp.cumsum(jnp.clip(steps, 0, 2)))
+    places = jnp.sort(corner)
+    compact = jnp.cumsum(jnp.clip(jnp.diff(places, prepend=places[:1]), 0, 2))
+    return compact[jnp.searchsorted(places, corner)]
 
 
 def _half_neighborhood(dimension: int) -> np.ndarray:

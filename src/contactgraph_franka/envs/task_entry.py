@@ -4,7 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from contactgraph.cli.options import choice
-from contactgraph.cli.task_types import KnownTask, TestCondition
+from contactgraph.cli.task_types import AS_TRAINED, KnownTask, TestCondition
 from contactgraph.envs.experts import ExplorationPolicy
 from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import MAX_FORCE, Grasp
@@ -41,7 +41,7 @@ FRANKA = KnownTask(
     max_force=MAX_FORCE,
     summary="a robot arm picks up a block and takes it to a goal (MuJoCo)",
     conditions=(
-        TestCondition("as-trained", "as trained", True),
+        AS_TRAINED,
         TestCondition("5-distractors", "5 distractors", False, distractors=5),
     ),
 )
