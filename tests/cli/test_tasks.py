@@ -82,7 +82,11 @@ def test_collect_and_control_take_a_class(
         (LINE, {"fixed_seed": 3}, "--goal fixed: extend_task:Line has no such option; it has "),
         ("door", {"passive": True}, "--passive: door has no such option; it has --distractors, "),
         ("billiards", {"distractors": 2}, "--distractors: billiards has no such option; it has "),
-        ("release", {"lose_grasp": 0.5}, "--lose-grasp: release has no such option; it has "),
+        (
+            "release",
+            {"hidden_switch": True},
+            "--hidden-switch: release has no such option; it has ",
+        ),
         ("release", {"hidden_switch": True}, "--hidden-switch: release has no such option; it "),
         ("door", {"in_the_way": True}, "--in-the-way: door has no such option; it has --distr"),
         ("door", {"radius": 0.05}, "--radius: door has no such option; it has --distractors, "),
@@ -146,10 +150,7 @@ def test_distractors_in_the_way() -> None:
 
 
 def test_the_options_of_suction_are_recorded(tmp_path: Path) -> None:
-    lost, hidden = tmp_path / "lost.h5", tmp_path / "hidden.h5"
-    options = ["--episodes", "2", "--lose-grasp", "0.5", "--out", str(lost)]
-    assert cli.run(["collect", "suction", *options]) == 0
-    assert read_trajectories(lost).metadata["lose_grasp"] == 0.5
+    hidden = tmp_path / "hidden.h5"
     options = ["--episodes", "2", "--exploration", "0.5", "--hidden-switch", "--out", str(hidden)]
     assert cli.run(["collect", "suction", *options]) == 0
     dataset = read_trajectories(hidden)

@@ -5,7 +5,6 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.grip import (
-    POWERLESS,
     BreakingHold,
     DelayedHold,
     HiddenSwitchHold,
@@ -100,31 +99,6 @@ def test_switched_off_bodies_keep_their_momentum_and_part_freely():
     assert not world.holding.any()
     # Half a substep more or less until the switch acts: 0.01 m/s.
     np.testing.assert_allclose(world.velocity, [[-0.1, 0.0], [0.3, 0.0]], atol=0.012)
-
-
-def test_a_grasp_is_lost_once_where_the_body_has_been_carried_far_enough():
-    rule = SwitchedHold(lost_after=0.05)
-    world = two_discs(rule, gap=0.01, velocity=(1.0, 0.0))
-    world.switch = 1.0
-    held, carried = [], []
-    for _ in range(24):
-        world.step(force(0.0))
-        held.append(bool(world.holding[0, 1]))
-        carried.append(world.position[1, 0])
-    began, lost = held.index(True), held.index(True) + held[held.index(True) :].index(False)
-    # Both go on at 0.5 m/s, touching: 0.025 m a step.
-    assert abs(carried[lost] - carried[began] - 0.05) < 0.03
-    again = lost + held[lost:].index(True)
-    assert again - lost == round(POWERLESS / 0.05)
-    assert all(held[again:]), "only once"
-    rule.reset(world)
-    assert rule._left == 0.05
-
-
-@pytest.mark.parametrize("distance", [0.0, -0.1, float("nan")])
-def test_a_grasp_is_not_lost_before_it_is_made(distance):
-    with pytest.raises(InvalidInputError, match="lost_after must be above 0 m"):
-        SwitchedHold(distance)
 
 
 def test_a_hidden_switch_keeps_to_its_times_and_repeats_them():

@@ -109,35 +109,6 @@ def test_the_switch_is_a_control_of_its_own():
     assert free["velocity"][GRIPPER] == pytest.approx([0.75, -0.5], abs=1e-4)
 
 
-def test_the_expert_takes_a_lost_target_again_and_the_scene_says_where_it_was_lost():
-    # 100 seeds of a share of a half.
-    task = SuctionTask(lose_grasp=0.5)
-    found = [task.hold_rule(seed)[1]["grasp_lost_after_m"] for seed in range(100)]
-    lost = [each for each in found if each > 0.0]
-    assert 35 <= len(lost) <= 65 and 0.05 <= min(lost) < 0.08 and 0.22 < max(lost) <= 0.25
-    for seed in (0, 1):
-        run = run_episode(SuctionTask(lose_grasp=1.0), SuctionExpert(0.0), seed)
-        held = run.holding[:, GRIPPER, TARGET]
-        begun, ended = np.diff(held.astype(int)) == 1, np.diff(held.astype(int)) == -1
-        assert begun.sum() >= 2 and ended.sum() == begun.sum()
-        grasped, lost = np.flatnonzero(begun)[0] + 1, np.flatnonzero(ended)[0] + 1
-        way = np.linalg.norm(run.position[lost, TARGET] - run.position[grasped, TARGET])
-        assert abs(way - run.scene.metadata["grasp_lost_after_m"]) < 0.06
-        assert run.scene.metadata["success"], "a lost grasp is taken again"
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"lose_grasp": 1.1}, "lose_grasp must be a share, 0 to 1, found 1.1"),
-        ({"lose_grasp": 0.5, "hidden_switch": True}, "lose_grasp: a hidden switch ends every"),
-    ],
-)
-def test_a_share_of_lost_grasps_that_cannot_be_is_refused(options, message):
-    with pytest.raises(InvalidInputError, match=message):
-        SuctionTask(**options)
-
-
 def test_a_hidden_switch_leaves_the_force_alone():
     task = HIDDEN()
     assert task.action_space.shape == (2,)

@@ -27,7 +27,8 @@ from recordings import (
 )
 
 from contactgraph.cli.main import run
-from contactgraph.data import InvalidInputError
+from contactgraph.data import Dataset, InvalidInputError
+from contactgraph.data.motion import body_motions, motion_warnings
 from contactgraph.interchange import Column, Episode, to_trajectories
 from contactgraph.interchange.conversion import state_after
 from contactgraph.interchange.csv_table import read_csv
@@ -85,6 +86,41 @@ def test_times_have_the_unit_of_their_name(tmp_path: Path, name: str) -> None:
     uneven = ROWS[np.arange(40) != 20] / [unit, 1.0, 1.0]
     (one,) = imported(table(tmp_path, f"{name},x,y", uneven.tolist()), XY)
     assert len(one.position) == 40 and speeds(one).max() == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("name", ["%time", "__time"])
+def test_times_of_plotting_tools_are_times(tmp_path: Path, name: str) -> None:
+    rows = [[f"{START + row[0]:.3f}", *row[1:]] for row in ROWS[np.arange(40) != 20].tolist()]
+    (one,) = imported(table(tmp_path, f"{name},x,y", rows), XY)
+    assert len(one.position) == 40 and speeds(one).max() == pytest.approx(0.3, rel=1e-3)
+    rows = [[round((START + row[0]) * 1e9), *row[1:]] for row in ROWS.tolist()]
+    assert "s in ns" in refused(table(tmp_path, f"{name},x,y", rows), XY)
+
+
+def test_a_column_that_may_be_times_is_not_passed_over(tmp_path: Path) -> None:
+    uneven = ROWS[np.arange(40) != 20].tolist()
+    recording = table(tmp_path, "ros_stamp,x,y", uneven)
+    assert "column 'ros_stamp' may be uneven times" in refused(recording, XY)
+    (one,) = imported(recording, XY, time='columns = "ros_stamp"\n')
+    assert len(one.position) == 40
+    (one,) = imported(table(tmp_path, "timestep,x,y", ROWS.tolist()), XY)  # even: no harm
+    assert speeds(one).max() == pytest.approx(0.3)
+    days = [["2026-03-01", f"12:00:{time:06.3f}", *row] for time, *row in uneven]
+    assert "column 'Date' may be" in refused(table(tmp_path, "Date,TimeOfDay,x,y", days), XY)
+
+
+def test_rows_of_several_bodies_in_turn(tmp_path: Path, capsys) -> None:
+    rows = [[n, k, 0.015 * n + k, k] for n in range(40) for k in range(2)]
+    assert "frame must increase" in refused(table(tmp_path, "frame,id,x,y", rows), XY)
+    recording = table(tmp_path, "id,x,y", [row[1:] for row in rows])
+    (warning,) = motion_warnings(body_motions(Dataset(imported(recording, XY))))
+    assert "positions of box alternate" in warning
+
+
+def test_an_episode_that_is_named_once(tmp_path: Path) -> None:
+    rows = [["" if n else k, 0.05 * n, 0.015 * n, 1] for k in (1, 2) for n in range(40)]
+    with pytest.raises(InvalidInputError, match="episode must be in every row of numbers"):
+        table(tmp_path, "episode,time,x,y", rows)
 
 
 def test_a_column_of_a_thrust_is_no_time(tmp_path: Path) -> None:
@@ -217,6 +253,8 @@ def test_the_order_of_a_quaternion_is_that_of_the_recording(tmp_path: Path) -> N
     rows = np.column_stack([ROWS, 0 * half, 0 * half, np.sin(half), np.cos(half)])
     named = table(tmp_path, "time,x,y,q_x,q_y,q_z,q_w", rows.tolist())
     (one,) = imported(named, XY + 'orientation = ["q_x", "q_y", "q_z", "q_w"]\n')
+    untold = table(tmp_path, "x,y,a,b,c,d", rows[:, 1:].tolist())
+    assert "order must be given" in refused(untold, XY + 'orientation = ["a", "b", "c", "d"]\n')
     np.testing.assert_allclose(one.orientation[:, 0, 0], TIME, atol=1e-4)
     first = '{ columns = ["q_x", "q_y", "q_z", "q_w"], order = "wxyz", axis = "x" }'
     (one,) = imported(named, XY + f"orientation = {first}\n")  # the map knows better than names
@@ -244,6 +282,31 @@ def test_euler_angles_of_motive_are_degrees(tmp_path: Path, euler: str, scale: f
     (one,) = imported(read_csv(path), text, None)
     np.testing.assert_allclose(
         np.linalg.norm(one.angular_velocity[:, 0], axis=1), np.pi / 9, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_angles_in_degrees_are_refused_or_named(tmp_path: Path, speed: float) -> None:
+    rows = [[x, y, y, 0, 0, (speed * n + 180) % 360 - 180] for n, (_, x, y) in enumerate(ROWS)]
+    recording = table(tmp_path, "x,y,z,roll,pitch,yaw", rows)
+    box = SPACE + BODY.format('["x", "y", "z"]')
+    euler = 'orientation = {{ columns = ["roll", "pitch", "yaw"], euler = "xyz"{} }}\n'
+    assert "recorded in degrees: scale" in refused(recording, box + euler.format(""))
+    (one,) = imported(recording, box + euler.format(", scale = 0.0174533"))
+    rate = np.deg2rad(20 * speed)
+    np.testing.assert_allclose(one.angular_velocity[:, 0, 2], rate, rtol=1e-4)
+    planar = XY + 'orientation = "yaw"\n'
+    if speed > 1:  # jumps from 180 to -180
+        assert "recorded in degrees: scale" in refused(recording, planar)
+    else:
+        (warning,) = motion_warnings(body_motions(Dataset(imported(recording, planar))))
+        assert "angles in degrees" in warning
+
+
+def test_what_moves_by_a_control_has_one(tmp_path: Path) -> None:
+    text = XY + "actuated = true\n"
+    assert "needs a [[control]] with body = 'box'" in refused(
+        table(tmp_path, "x,y", ROWS[:, 1:]), text
     )
 
 

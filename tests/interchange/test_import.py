@@ -31,7 +31,6 @@ dimension = 2
 dt = 0.1
 [[body]]
 name = "hand"
-actuated = true
 position = ["x", "y"]
 """
 

@@ -19,7 +19,6 @@ from contactgraph.cli.options import (
     Engine,
     Grasp,
     HiddenSwitch,
-    LoseGrasp,
     Objects,
     Passive,
     TaskArgument,
@@ -46,7 +45,6 @@ class Collect:
     grasp: Grasp = None
     passive: Passive = False
     hidden_switch: HiddenSwitch = False
-    lose_grasp: LoseGrasp = 0.0
     engine: Engine = None
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""

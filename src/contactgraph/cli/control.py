@@ -20,7 +20,6 @@ from contactgraph.cli.options import (
     Grasp,
     HiddenSwitch,
     Horizon,
-    LoseGrasp,
     Misses,
     Objects,
     OutputFile,
@@ -84,7 +83,6 @@ class Control:
     objects: Objects = None
     grasp: Grasp = None
     hidden_switch: HiddenSwitch = False
-    lose_grasp: LoseGrasp = 0.0
     engine: Engine = None
     radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
     """Radius of every body of pickup, m."""

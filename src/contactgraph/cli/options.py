@@ -83,13 +83,6 @@ Engine = Annotated[
         help_behavior_hint="(the first that is installed)",
     ),
 ]
-LoseGrasp = Annotated[
-    float,
-    arg(
-        metavar="SHARE",
-        help="suction: in this share of the episodes the grasp is lost once on the way.",
-    ),
-]
 Grasp = Annotated[
     str | None,
     arg(

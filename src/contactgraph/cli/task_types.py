@@ -10,7 +10,7 @@ from contactgraph.envs.contract import Policy, Task
 from contactgraph.envs.gripper_task import MAX_FORCE
 
 FLAGS = (
-    *("distractors", "objects", "grasp", "radius", "passive", "hidden_switch", "lose_grasp"),
+    *("distractors", "objects", "grasp", "radius", "passive", "hidden_switch"),
     *("in_the_way", "engine"),
 )
 """Arguments of tasks that are flags of the commands; ``fixed_seed`` is ``--goal fixed``."""

@@ -11,6 +11,10 @@ _ISOLATED = 10.0
 """Times the steps before and after it, and the median of those in which the body moves, from which
 on a step is a jump."""
 
+_PLACES, _IN_TURN = 1e-3, 0.1
+"""m: the least step between places, and of it, up to which positions are of the same place."""
+_TURNING, _COARSE = 0.01, 0.5
+"""rad: the least step of a body that turns, and the median of such steps that looks odd."""
 _OTHER_RATE = 2.0
 """Times the rate of the poses, from which on a recorded turn rate is another."""
 _TURNS = 0.5
@@ -38,6 +42,10 @@ class BodyMotion:
     """Steps of more than ten times those before and after, and the median of moving ones."""
     turn_jumps: int
     """The same of turns."""
+    alternates: bool
+    """Whether positions come in turn from two to four places, as rows of several bodies do."""
+    turn: float
+    """rad: the median of the steps in which the body turns; 0: it does not."""
     rate_ratio: float
     """Of the recorded turn rates, summed over time, to the turns between poses; 1 where nothing
     turns."""
@@ -75,20 +83,22 @@ def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
                 f"those before and after; are these measurements?{hint}"
             )
     for each in motions:
-        if not 1.0 / _OTHER_RATE < each.rate_ratio < _OTHER_RATE:
-            found.append(
-                f"turn rates contradict orientations: those of {each.name} are "
-                f"{each.rate_ratio:.3g} times as large; check their unit"
-            )
-        if each.drift > _STANDS:
-            found.append(f"{each.name} is static, but moves: is it?")
+        signs = {
+            f"positions of {each.name} alternate: are rows of several bodies?": each.alternates,
+            f"{each.name} turns by {each.turn:.3g} rad in a step and more: are angles in degrees, "
+            "which need a scale?": each.turn > _COARSE,
+            f"turn rates contradict orientations: those of {each.name} are {each.rate_ratio:.3g} "
+            "times as large; check their unit": not 1 / _OTHER_RATE < each.rate_ratio < _OTHER_RATE,
+            f"{each.name} is static, but moves: is it?": each.drift > _STANDS,
+        }
+        found += [sign for sign, there in signs.items() if there]
     return found
 
 
 def _motion(dataset: Dataset, name: str) -> BodyMotion:
     fastest, rate, largest, jumps = 0.0, [], (0.0, 0, 0.0), 0
     turn_jumps, turned, integral, drift = 0, 0.0, 0.0, 0.0
-    tracked: list[np.ndarray] = []
+    alternates, turns, tracked = False, list[np.ndarray](), list[np.ndarray]()
     for index, each in enumerate(dataset):
         if name not in each.scene.node_name:
             continue
@@ -98,12 +108,14 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         largest = max(largest, (float(steps[at]), index, dt * (at + 1)))
         fastest = max(fastest, float(steps[at]) / dt)
         jumps += _jumps(steps)
+        alternates |= _alternate(each.position[:, node])
         if each.orientation is not None:
             turn = each.orientation[:, node]
             turn = turn if turn.shape[1] == 1 else rotation_vectors(turn)
             between = turn_between(turn[:-1], turn[1:])
             rate += [float(np.nanmax(between)) / dt] if np.isfinite(between).any() else []
             turn_jumps += _jumps(np.nan_to_num(between))
+            turns.append(between[between > _TURNING])
             if each.angular_velocity is not None:
                 speed = dt * np.linalg.norm(each.angular_velocity[1:, node], axis=-1)
                 both = np.isfinite(speed) & np.isfinite(between)
@@ -117,7 +129,19 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
     lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
     ratio = integral / turned if max(integral, turned) > _TURNS and turned else 1.0
     top = max(rate, default=None)
-    return BodyMotion(name, fastest, top, *largest, jumps, turn_jumps, ratio, drift, lost)
+    usual = float(np.median(np.concatenate(turns))) if any(map(len, turns)) else 0.0
+    return BodyMotion(
+        *(name, fastest, top, *largest, jumps, turn_jumps, alternates, usual, ratio, drift, lost)
+    )
+
+
+def _alternate(position: np.ndarray) -> bool:
+    """Whether positions [T+1, D] return after two to four steps, again and again."""
+    one, *others = (
+        np.median(np.linalg.norm(position[lag:] - position[:-lag], axis=1))
+        for lag in range(1, min(5, len(position)))
+    )
+    return bool(len(others) == 3 and one > _PLACES and min(others) < _IN_TURN * one)
 
 
 def _jumps(steps: np.ndarray) -> int:

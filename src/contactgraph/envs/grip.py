@@ -21,9 +21,6 @@ HIDDEN_ON = (0.4, 1.4)
 """Shortest and longest time for which a hidden switch stays on, s."""
 HIDDEN_OFF = (0.3, 1.2)
 """The same of a hidden switch that is off, s."""
-
-POWERLESS = 0.3
-"""Time without any hold after a grasp is lost, s."""
 PARTING_TIME = 0.05
 """Time without a touch after which a pair has parted, s."""
 
@@ -55,40 +52,14 @@ class HoldAtTouch:
 
 
 class SwitchedHold:
-    """The gripper holds what it touches while the world's switch is above 0.5.
+    """The gripper holds what it touches while the world's switch is above 0.5."""
 
-    With ``lost_after`` m it loses its grasp once: when a body that it holds is that far from where
-    it was grasped. For the next 0.3 s it holds nothing, whatever the switch. None: it never does.
-    Raises `InvalidInputError` where the distance is not above 0.
-    """
-
-    def __init__(self, lost_after: float | None = None) -> None:
-        if lost_after is not None and not lost_after > 0.0:
-            raise InvalidInputError(f"lost_after must be above 0 m, found {lost_after}")
-        self._lost_after = lost_after
-        self.reset()
-
-    def reset(self, world: PlanarWorld | None = None) -> None:
-        """Begins an episode."""
-        self._left = self._lost_after
-        self._powerless = 0.0
-        self._grasped: dict[int, np.ndarray] = {}
+    def reset(self, world: PlanarWorld) -> None:
+        """Keeps no state."""
 
     def update(self, world: PlanarWorld, dt: float) -> None:
-        """Joins or parts the gripper's pairs after a substep of ``dt`` s."""
-        self._powerless -= dt
-        if self._loses(world):
-            self._left, self._powerless = None, POWERLESS
-        switch(world, world.switch > SWITCH_ON and self._powerless <= _ROUNDING)
-
-    def _loses(self, world: PlanarWorld) -> bool:
-        """Whether a held body is now as far from where it was grasped as it can be carried."""
-        if self._left is None:
-            return False
-        held, position = held_by_gripper(world), world.position
-        self._grasped = {node: self._grasped.get(node, position[node]) for node in held}
-        carried = [np.linalg.norm(position[node] - self._grasped[node]) for node in held]
-        return bool(max(carried, default=0.0) >= self._left)
+        """Joins or parts the gripper's pairs."""
+        switch(world, world.switch > SWITCH_ON)
 
 
 def switch(world: PlanarWorld, on: bool) -> None:

@@ -22,8 +22,6 @@ from contactgraph.envs.planar.world import HoldRule, PlanarWorld
 
 PUT_DOWN_RADIUS = 0.02
 """The target must lie within this distance of the goal, m."""
-LOST_AFTER = (0.05, 0.25)
-"""Shortest and longest way to where a grasp is lost, m: before the goal, 0.3 m away or more."""
 HOLD_SHARE = 0.25
 """Probability that a body of `StickyTask` holds."""
 _SUCTION_STEPS = 240
@@ -52,11 +50,7 @@ class SuctionTask(CarryTask):
     With ``hidden_switch`` the control ``[2]`` is the force alone: a random process that nothing
     records operates the switch, and the target must end within 0.1 m of the goal.
 
-    In a share ``lose_grasp`` of the episodes the grasp is lost once on the way: see `SwitchedHold`.
-    The scene's metadata has the distance, ``grasp_lost_after_m``, 0 where none is lost.
-
-    Raises `InvalidInputError` where ``distractors`` is not in 0 to 20, or ``lose_grasp`` not in 0
-    to 1, or above 0 with a hidden switch.
+    Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
     """
 
     name = "suction"
@@ -66,30 +60,18 @@ class SuctionTask(CarryTask):
         distractors: int = 0,
         fixed_seed: int | None = None,
         hidden_switch: bool = False,
-        lose_grasp: float = 0.0,
         engine: str | None = None,
     ) -> None:
-        if not 0.0 <= lose_grasp <= 1.0:
-            raise InvalidInputError(f"lose_grasp must be a share, 0 to 1, found {lose_grasp}")
-        if hidden_switch and lose_grasp:
-            raise InvalidInputError("lose_grasp: a hidden switch ends every grasp by itself")
         super().__init__(distractors, fixed_seed, 1, _SUCTION_STEPS, engine)
-        self._hidden_switch, self._lose_grasp = hidden_switch, lose_grasp
+        self._hidden_switch = hidden_switch
         if not hidden_switch:
             high = np.array([MAX_FORCE, MAX_FORCE, 1.0])
             self.action_space = gymnasium.spaces.Box(np.append(-high[:2], 0.0), high, dtype=float)
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
-        """The rule of the switch, whether it is hidden, and where it loses its grasp."""
-        if self._hidden_switch:
-            return HiddenSwitchHold(seed), {"hidden_switch": True}
-        drawn: Metadata = {"hidden_switch": False}
-        if not self._lose_grasp:
-            return SwitchedHold(), drawn
-        rng = np.random.default_rng(seed)
-        loses, distance = rng.random() < self._lose_grasp, float(rng.uniform(*LOST_AFTER))
-        rule = SwitchedHold(distance if loses else None)
-        return rule, {**drawn, "grasp_lost_after_m": distance if loses else 0.0}
+        """The rule of the switch, and whether it is hidden."""
+        rule = HiddenSwitchHold(seed) if self._hidden_switch else SwitchedHold()
+        return rule, {"hidden_switch": self._hidden_switch}
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""

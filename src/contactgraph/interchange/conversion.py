@@ -57,7 +57,8 @@ def to_trajectories(
             parts, seconds = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
             kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
-            raise InvalidInputError(f"{recording.where}: {episode.name}: {error}") from error
+            name = f"{episode.name}: " * (len(recording.episodes) > 1)
+            raise InvalidInputError(f"{recording.where}: {name}{error}") from error
         found += [each for each in kept if each is not None]
         resampled += [] if seconds is None else [seconds]
         lost += [] if parts else [episode.name]
@@ -238,7 +239,7 @@ def _at_times(track: Track, at: np.ndarray | None, states: int) -> dict[str, np.
         times = at if track.fixed else track.times
         found["measured_at"] = (resampling.measured_at(at, times) - at[0])[:, None]
         on_time = resampling.is_tracked(at, times)[:, None]
-        found["tracked"] = on_time & (found.get("tracked", np.ones(1)) > 0.5)
+        found["tracked"] = on_time & found.get("tracked", np.ones(1, dtype=bool))
     return found
 
 

@@ -32,8 +32,10 @@ _LARGEST_FILE = 2**31
 _MOST_COLUMNS = 10_000
 _HEADER_ROWS = 20
 _TIME = re.compile(
-    r"t|(?i:time(?:stamp)?|elapsed|seconds)(?:[ _]*[(\[]?(?P<unit>s|sec|seconds|ms|us|ns)[)\]]?)?"
+    r"[%_]*(?:t|(?i:time(?:stamp)?|elapsed|seconds)"
+    r"(?:[ _]*[(\[]?(?P<unit>s|sec|seconds|ms|us|ns)[)\]]?)?)"
 )
+_LIKE_TIME = re.compile(r"(?i:time|stamp|date|clock)")
 _SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FRAMES = ("frame", "frame_index", "frame_number")
 _EPISODE = "episode"
@@ -141,7 +143,7 @@ def _read_file(path: Path) -> tuple[list[Episode], set[float | None]]:
             else:
                 break
         delimiter = delimiter or max(",;\t", key=first.count)
-        rows = csv.reader(chain([first], file), delimiter=delimiter)
+        rows = csv.reader(chain([first], file), delimiter=delimiter, skipinitialspace=True)
         table = _Table(path, rows, delimiter != ",")
         if first.lstrip('"').startswith("Format Version"):
             return _motive(table)
@@ -189,9 +191,13 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
     axes = {name: name[-1].lower() for name in names if _QUATERNION_PART.fullmatch(name)}
     there = {name: index for index, name in enumerate(names) if index not in texts}
     frame = next((there[name] for name in _FRAMES if name in there), None)
+    labels = [""] * len(values) if label is None else fields[label]
+    if any(labels) and not all(labels):
+        blank = labels.index("") + 1
+        raise table.error(f"{_EPISODE} must be in every row of numbers, found none in row {blank}")
     rows_of: dict[str, list[int]] = {}
-    for index in range(len(values)):
-        rows_of.setdefault("" if label is None else fields[label][index], []).append(index)
+    for index, text in enumerate(labels):
+        rows_of.setdefault(text, []).append(index)
     episodes: list[Episode] = []
     for text, rows in rows_of.items():
         own = None if stamps is None else stamps[rows]
@@ -199,16 +205,35 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
             name: Column(values[rows, index, None], own, axes=axes.get(name, ""))
             for name, index in there.items()
         }
-        steps = None
+        steps, lack = None, no_times
         if stamps is None and frame is not None:
-            apart = np.diff(values[rows, frame])
+            number = values[rows, frame]
+            apart = np.diff(number)
+            if (back := np.flatnonzero(apart <= 0.0)).size:
+                at = number[back[0]]
+                lack = f"{names[frame]} must increase from row to row, but not after {at:g}"
             whole = np.all((apart >= 1.0) & (apart == np.round(apart)))
             if whole and 2 * np.sum(apart == 1.0) > len(apart):  # of which some are missing
-                steps = values[rows, frame] - values[rows[0], frame]
+                steps = number - number[0]
+        elif stamps is None:
+            lack = no_times or _unused_times(names, values[rows], texts)
         title = table.path.name + f": {_EPISODE} {text}" * bool(text and len(rows_of) > 1)
         used = {names[index] for index in kept}
-        episodes.append(Episode(title, columns, others, no_times, used, steps))
+        episodes.append(Episode(title, columns, others, lack, used, steps))
     return episodes
+
+
+def _unused_times(names: list[str], values: np.ndarray, texts: dict[int, str]) -> str:
+    """Why rows [S, W] are not taken as even: a column may be their times; empty without one."""
+    for index, name in enumerate(names):
+        apart = np.diff(values[:, index])
+        uneven = np.all(apart > 0.0) and not np.allclose(apart, apart[:1], rtol=0.01)
+        if _LIKE_TIME.search(name) and (uneven or index in texts):
+            return (
+                f"column {name!r} may be uneven times: name it time, in s or as ISO 8601 texts, "
+                "give [time] columns, or leave it out"
+            )
+    return ""
 
 
 def _nexus(table: _Table) -> tuple[list[Episode], set[float | None]]:

@@ -75,6 +75,8 @@ class ExportLayout:
         for group in self.groups:
             stop = start + len(group.names)
             reference, start = state(start, stop), stop
+            if group.names[0].endswith(".w"):
+                reference = f'{{ columns = {reference}, order = "wxyz" }}'
             columns.setdefault(group.nodes, {})[group.key] = reference
             if len(group.nodes) == 2:
                 bodies = {"bodies": [scene.node_name[node] for node in group.nodes]}

@@ -127,6 +127,7 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
         entries = getattr(body, name)
         if entries is not None:
             values[name] = rows(entries, width).values
+            values[name] = values[name] > 0.5 if name == "tracked" else values[name]
     if body.orientation is not None:
         sizes = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
         found = rows(body.orientation.entries, *sizes)
@@ -179,8 +180,10 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
         raise InvalidInputError(
             f"{where}: must be in the recording's order, {recorded}, found {given}"
         )
-    if recorded.isupper() and np.all(turn.entries.scale == 1.0):
+    if (recorded.isupper() or _in_degrees(turn, read[known])) and np.all(turn.entries.scale == 1.0):
         raise InvalidInputError(f"{where}: angles are recorded in degrees: scale = 0.0174533")
+    if not (given or recorded or turn.entries.constant is not None or read.shape[1] == 1):
+        raise InvalidInputError(f"{where}: order must be given, wxyz or xyzw; nothing tells it")
     if not turn.euler and read.shape[1] == 1:
         if turn.order or turn.axis or turn.turned_by is not None:
             raise InvalidInputError(
@@ -209,6 +212,13 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     every = np.full((len(read), found.shape[1]), np.nan)
     every[known] = found
     return every
+
+
+def _in_degrees(turn: Turn, angles: np.ndarray) -> bool:
+    """Whether Euler angles [S, W] are too large for rad, or one jumps by 340 to 380."""
+    large = np.abs(angles).max(initial=0.0) > 2.1 * np.pi
+    wraps = np.abs(np.abs(np.diff(angles, axis=0)) - 360.0) < 20.0
+    return bool(wraps.any() or (turn.euler and large))
 
 
 def _turn_about(turn: Turn, quaternion: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from contactgraph.interchange.recording import (
 
 _FILE, _METADATA = "main_data.hdf5", "metadata.json"
 _LARGEST_FILE = 2**34
-_PARTS = ("observations", "actions", "infos", "rewards")
+_PARTS = ("observations", "actions", "infos", "rewards", "terminations", "truncations")
 _DEEPEST = 8
 _WIDEST = 4096
 """Numbers of a row, beyond which they are an image."""

@@ -35,7 +35,7 @@ class Turn:
 
     entries: Entries
     order: str = ""
-    """Of a quaternion; empty: that which the recording tells, else ``wxyz``."""
+    """Of a quaternion; empty: that which the recording tells."""
     euler: str = ""
     """SciPy's notation."""
     axis: str = ""
@@ -207,6 +207,8 @@ def _contradictions(found: SceneMap) -> Iterator[str]:
         if base is not None and (base not in bodies or bodies[base].base is not None):
             key = "relative_to" if body.in_frame_of is None else "in_frame_of"
             yield f"{where}: {key} must name a body in world coordinates, found {base!r}"
+        if body.actuated and not any(body.name in each.bodies for each in found.controls):
+            yield f"{where}: actuated = true needs a [[control]] with body = {body.name!r}"
         for key in ("relative_to", "velocity", "angular_velocity"):
             if body.in_frame_of is not None and getattr(body, key) is not None:
                 yield f"{where}: in_frame_of excludes {key}"

@@ -87,7 +87,6 @@ from contactgraph.model.types import StepStages as StepStages
 from contactgraph.model.types import from_physical as from_physical
 from contactgraph.model.types import scene_nodes as scene_nodes
 from contactgraph.model.types import stack_state as stack_state
-from contactgraph.model.types import unstack_state as unstack_state
 
 note_bindings("contactgraph.data")
 note_bindings("contactgraph.model")

@@ -112,14 +112,6 @@ def stack_state(
     return both.reshape(*position.shape[:-2], -1)
 
 
-def unstack_state(
-    state: Float[Array, "*T n"], dimension: int
-) -> tuple[Float[Array, "*T N D"], Float[Array, "*T N D"]]:
-    """Position and velocity back from `stack_state`'s vector."""
-    both = state.reshape(*state.shape[:-1], -1, 2, dimension)
-    return both[..., 0, :], both[..., 1, :]
-
-
 class SpringMassDamper(eqx.Module):
     r"""A mass on a spring and a damper, separately for every node and degree of freedom.
 
