@@ -121,7 +121,7 @@ class Amounts:
 
 
 FULL = Amounts((0, 1, 2), 60, 40, 100, 20, baselines=True)
-GATE = Amounts((0,), 60, 40, 20, 5, baselines=False)
+GATE = Amounts((0,), 60, 20, 20, 5, baselines=False)
 QUICK = Amounts((0,), 12, 3, 2, 2, baselines=True, training_options=("--steps", "60"))
 
 
