@@ -49,7 +49,7 @@ import jax  # noqa: E402  after the variables that it reads
 from contactgraph_studies.execution import release_programs, resident_bytes  # noqa: E402
 
 MUCH_MEMORY = 1.5e9
-"""Of a worker, bytes, above which it forgets compiled programs within a file, too."""
+"""Of a worker, bytes, above which it forgets compiled programs."""
 SHORT = (
     *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
     *("--window-length", "3", "--rollout-from", "0.6"),
@@ -65,10 +65,10 @@ def pytest_configure(config: pytest.Config) -> None:
     )
 
 
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    # Compiled programs take most of a worker's memory: files share few of them, and those are read
-    # from the folder again.
-    if nextitem is None or nextitem.path != item.path or resident_bytes() > MUCH_MEMORY:
+def pytest_runtest_teardown() -> None:
+    # Compiled programs take most of a worker's memory. Those that are forgotten are traced again
+    # and read from the folder, which takes a quarter of the time of all tests if each file does it.
+    if resident_bytes() > MUCH_MEMORY:
         release_programs()
 
 

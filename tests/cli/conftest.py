@@ -1,15 +1,52 @@
 """A run folder and a learned cost by the commands themselves, without the compilation of learning.
 
 The results of `fit` and `learn_cost` are made up here; `tests/train` and `tests/control` test both.
+Where a test is about what a command asks for, the work is interrupted before it begins.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from contactgraph.cli import main as cli
+
+
+@pytest.fixture
+def mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs a command in an empty folder, expects a user error, and returns its message."""
+    monkeypatch.chdir(tmp_path)
+
+    def fails(*arguments: object) -> str:
+        before = sorted(path.name for path in tmp_path.rglob("*"))
+        assert cli.run([str(each) for each in arguments]) == 2
+        said, errors = capsys.readouterr()
+        assert sorted(path.name for path in tmp_path.rglob("*")) == before, "something is left"
+        assert said == ""
+        (line,) = errors.splitlines()
+        assert line.startswith("contactgraph: ")
+        return line.removeprefix("contactgraph: ")
+
+    return fails
+
+
+@pytest.fixture
+def interrupted(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[SimpleNamespace]]:
+    """Replaces a function by Ctrl-C; returns the list of its calls: `arguments` and `options`."""
+
+    def replaced(name: str) -> list[SimpleNamespace]:
+        calls = []
+
+        def work(*arguments: object, **options: object) -> None:
+            calls.append(SimpleNamespace(arguments=arguments, options=options))
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(name, work)
+        return calls
+
+    return replaced
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -15,7 +16,6 @@ import pytest
 import safetensors
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.models import model_preset
 from contactgraph.cli.tasks import known_task, make
 from contactgraph.data import (
     Scene,
@@ -67,14 +67,12 @@ def done(*arguments: object) -> None:
     assert cli.run([str(each) for each in arguments]) == 0
 
 
-def test_the_real_entry_point() -> None:
-    command = [sys.executable, "-m", "contactgraph"]
-    finished = subprocess.run([*command, "--version"], capture_output=True, text=True)
-    assert (finished.returncode, finished.stderr) == (0, "")
-    assert finished.stdout == f"contactgraph {version('contactgraph')}\n"
-    mistake = subprocess.run([*command, "trian"], capture_output=True, text=True)
-    assert mistake.returncode == 2
-    assert mistake.stdout == ""
+def test_the_real_entry_point(capsys: pytest.CaptureFixture[str]) -> None:
+    done("--version")
+    assert capsys.readouterr() == (f"contactgraph {version('contactgraph')}\n", "")
+    command = [sys.executable, "-m", "contactgraph", "trian"]
+    mistake = subprocess.run(command, capture_output=True, text=True)
+    assert (mistake.returncode, mistake.stdout) == (2, "")
     assert mistake.stderr.startswith("contactgraph: no command 'trian'; the commands are collect")
 
 
@@ -88,32 +86,12 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str], arguments:
         assert command in captured.out
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        (
-            "collect",
-            "TASK --out --episodes --seed --distractors --objects --grasp --mixed --goal --expert",
-        ),
-        ("train", "DATA --out --model --seed --resume filter gim-temp gim-non-temp no-gim full-ab"),
-        ("evaluate", "MODEL DATA --json"),
-        (
-            "control",
-            "MODEL TASK --episodes --seed --distractors --objects --grasp --json --video --save",
-        ),
-        ("learn-cost", "MODEL DEMOS --out --horizon --steps --runs --goal --prior-weight"),
-        ("reproduce", "--quick --out"),
-        ("report", ""),
-        ("info", "FILE"),
-    ],
-)
-def test_help_of_each(capsys: pytest.CaptureFixture[str], command: str, words: str) -> None:
+@pytest.mark.parametrize("command", [each for each in COMMANDS if each != "robot"])
+def test_help_of_each(capsys: pytest.CaptureFixture[str], command: str) -> None:
     done(command, "--help")
     captured = capsys.readouterr()
     assert captured.err == ""
     assert captured.out.startswith(f"usage: contactgraph {command} ")
-    for word in words.split():
-        assert word in captured.out
 
 
 def simulator(task: str = "pickup") -> str:
@@ -138,17 +116,16 @@ def test_collect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert dataset.metadata == {"task": "pickup", "seed": 7, **given}
     assert [run.scene.node_count for run in dataset] == [4, 4, 4]
     assert [bool(np.any(run.control)) for run in dataset] == [True, True, False]
-    done("collect", "pickup", *options, "--out", again)
+    done("collect", "pickup", *options, "--goal", "sampled", "--expert", "train", "--out", again)
     assert again.read_bytes() == path.read_bytes(), "one seed, one file"
     done("collect", "pickup", "--episodes", 1, "--seed", 8, "--out", path)
     assert len(describe_file(path).steps) == 1, "a new file replaces the old one"
 
 
 def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
-    path, first = tmp_path / "data.h5", tmp_path / "first.h5"
+    path = tmp_path / "data.h5"
     counts = ["--distractors", 1, "--objects", 2, "--mixed"]
     done("collect", "multi-pickup", *counts, "--episodes", 5, "--out", path)
-    done("collect", "multi-pickup", *counts, "--episodes", 2, "--out", first)
     dataset = read_trajectories(path)
     assert dataset.metadata == {
         "task": "multi-pickup",
@@ -160,8 +137,6 @@ def test_collect_mixed_numbers_of_objects_in_one_file(tmp_path: Path) -> None:
     }
     counts = [(run.scene.metadata["objects"], run.scene.metadata["distractors"]) for run in dataset]
     assert counts == [(1, 0), (1, 1), (2, 0), (2, 1), (1, 0)]
-    for one, other in zip(read_trajectories(first), dataset, strict=False):
-        assert np.array_equal(one.position, other.position), "the same, however many are recorded"
 
 
 def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
@@ -171,26 +146,27 @@ def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", main, *arguments]).returncode == 0
 
 
-@pytest.mark.parametrize(("task", "nodes"), [("multi-pickup", 3), ("door", 2), ("franka", 2)])
-def test_collect_other_tasks(tmp_path: Path, task: str, nodes: int) -> None:
+@pytest.mark.parametrize(
+    ("task", "options", "nodes"),
+    [
+        ("multi-pickup", {}, 3),
+        ("door", {}, 2),
+        ("franka", {"distractors": 1, "grasp": "weld"}, 3),
+    ],
+)
+def test_collect_other_tasks(tmp_path: Path, task: str, options: dict, nodes: int) -> None:
     path = tmp_path / "data.h5"
-    done("collect", task, "--episodes", 2, "--exploration", 0.5, "--out", path)
+    flags = [word for name, value in options.items() for word in (f"--{name}", value)]
+    done("collect", task, *flags, "--episodes", 2, "--exploration", 0.5, "--out", path)
     dataset = read_trajectories(path)
+    given = {"distractors": 0, **options, "simulator": simulator(task)}
+    assert dataset.metadata == {"task": task, "seed": 0, **given}
     assert [run.scene.node_count for run in dataset] == [nodes, nodes]
     policies = [run.scene.metadata["policy"] for run in dataset]
     assert policies[0].endswith("Expert") and policies[1] == "ExplorationPolicy"
     assert all((run.scene.anchor is not None) == (task == "door") for run in dataset)
     assert all(run.scene.dimension == (3 if task == "franka" else 2) for run in dataset)
-
-
-def test_collect_with_another_grasp(tmp_path: Path) -> None:
-    path = tmp_path / "data.h5"
-    done("collect", "franka", "--episodes", 1, "--distractors", 1, "--grasp", "weld", "--out", path)
-    dataset = read_trajectories(path)
-    options = {"distractors": 1, "grasp": "weld", "simulator": simulator("franka")}
-    assert dataset.metadata == {"task": "franka", "seed": 0, **options}
-    (run,) = dataset
-    assert run.scene.metadata["grasp"] == "weld"
+    assert all(run.scene.metadata.get("grasp") == options.get("grasp") for run in dataset)
 
 
 def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
@@ -218,51 +194,6 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
     assert header["held_out_moving"] is True and header["training_s"] == 1.2
 
 
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("gim-non-temp", ("MemorylessEdges", "SpringMassDamperDynamics")),
-        ("full-ab", ("RecurrentEdges", "FreeLinearDynamics")),
-    ],
-)
-def test_training_interrupted_before_its_first_step_is_resumed(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, parts: tuple
-) -> None:
-    models = []
-
-    def interrupted(state, *arguments: object) -> None:
-        models.append(state.model)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("contactgraph.train.fit", interrupted)
-    run = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(run), "--model", name]) == 130
-    assert [path.name for path in run.glob("checkpoint-*")] == ["checkpoint-0000000000.safetensors"]
-    assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
-    built = [(type(each.inference).__name__, type(each.local_dynamics).__name__) for each in models]
-    assert built == [parts] * 2
-    assert json.loads((run / "config.json").read_text())["model"] == name
-
-
-def test_a_model_may_be_a_function_of_a_module(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = "from contactgraph.model import no_gim\n\n\ndef mine(*arguments, **options):\n"
-    (tmp_path / "own_model.py").write_text(f"{source}    return no_gim(*arguments, **options)\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    assert model_preset("gim-temp") is gim_temp
-    built = []
-
-    def interrupted(state, *arguments: object) -> None:
-        built.append(type(state.model.inference).__name__)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("contactgraph.train.fit", interrupted)
-    run = str(tmp_path / "run")
-    assert cli.run(["train", str(recorded), "--out", run, "--model", "own_model:mine"]) == 130
-    assert built == ["AllEdges"]
-
-
 def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "result.json"
     done("evaluate", "pickup", fresh, "--json", path)
@@ -276,7 +207,8 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert values["training_s"] > 0
     assert (values["run"], values["data"]) == ("pickup", str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)
-    assert all(isinstance(values[name], int | float) for name in OPEN_LOOP)
+    inferred = {"edge_f1_now_inferred", "brier_score_inferred"}
+    assert all(isinstance(values[name], int | float) for name in OPEN_LOOP | inferred)
     lines = captured.out.splitlines()
     assert lines[0].startswith("error over 10 steps ")
     for text, name in (("the model", "n_step"), ("constant velocity", "constant_velocity")):
@@ -286,18 +218,12 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert f"verdict: {values['verdict']}" in lines
     now, coming = values["edge_f1_now"], values["edge_f1"]
     assert f"F1 {now:.4f} (step just made), {coming:.4f} (steps to come)" in captured.out
-    again = tmp_path / "again.json"
-    done("evaluate", shipped_model("pickup"), fresh, "--json", again)
-    assert {**json.loads(again.read_text()), "run": ""} == {**values, "run": ""}
-
-
-def test_evaluate_takes_a_run_folder(trained: Path, fresh: Path, tmp_path: Path) -> None:
-    path, results = tmp_path / "result.json", []
-    for model in (trained, trained / "model.safetensors"):
-        done("evaluate", model, fresh, "--ignore-motion", "--json", path)
-        results.append(json.loads(path.read_text()))
-        assert results[-1].pop("run") == str(model)
-    assert results[0] == results[1] and results[0]["n_step_rmse_m"] > 0.0
+    (tmp_path / "run").mkdir()
+    file = tmp_path / "run" / "model.safetensors"
+    shutil.copy(shipped_model("pickup"), file)
+    for model in (file, file.parent):
+        done("evaluate", model, fresh, "--json", path)
+        assert json.loads(path.read_text()) == {**values, "run": str(model)}
 
 
 @pytest.mark.parametrize("real", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -309,6 +235,7 @@ def test_control(
 ) -> None:
     if not real:
         monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+        monkeypatch.setattr("contactgraph.viz.animation.frame_states", lambda scene: range(9))
     result, video, episodes = (tmp_path / name for name in ("out.json", "out.gif", "out.h5"))
     options = ["--episodes", 2, "--seed", 5, "--replan-every", 5]
     files = ["--json", result, "--video", video, "--save", episodes]
@@ -328,6 +255,8 @@ def test_control(
     assert saved.metadata == {"task": "pickup", "seed": 5, "distractors": 0}
     assert video.read_bytes().startswith(b"GIF8")
     assert {path.name for path in tmp_path.iterdir()} == {"out.json", "out.gif", "out.h5"}
+    done("control", "expert", "pickup", "--episodes", 1, "--json", result)
+    assert json.loads(result.read_text()).keys() <= values.keys(), "a policy has no more numbers"
 
 
 def by_the_expert(model, factory, episodes, seed, *, on_episode, **options):
@@ -363,22 +292,15 @@ def test_report(
     named = {number["what"]: number["value"] for number in numbers}
     ahead = f"one step ahead, {task.conditions[0].name}"
     assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
-    assert page.read_text(encoding="utf-8").count(f"<td>{ahead}</td>") == 3
-    shown = page.read_text(encoding="utf-8").partition('id="report-data">')[2].partition("<")[0]
-    mine, other = json.loads(shown)["beliefs"]
+    text = page.read_text(encoding="utf-8")
+    mine, other = json.loads(text.partition('id="report-data">')[2].partition("<")[0])["beliefs"]
     assert mine == other and mine["title"] == "pickup: gripper and target"
-    assert mine["truth"] == [
-        ["free", 0, mine["truth"][1][1]],
-        ["contact", mine["truth"][1][1], 200],
-    ]
+    touch = mine["truth"][1][1]
+    assert mine["truth"] == [["free", 0, touch], ["contact", touch, 200]]
     assert mine["lines"][0]["states"] == mine["truth"], "measured without an error"
-    f1 = measured["edge_f1_now"], measured["edge_f1_now_unmeasured"]
-    for value in f1:
-        assert page.read_text(encoding="utf-8").count(f'"figure">{short(value)}</td>') >= 2
-    table = (page.parent / "table.csv").read_text().splitlines()
-    assert table[0] == "what,unit,value,low,high,command"
-    assert len(table) == 1 + len(numbers)
-    assert "pickup" in page.read_text(encoding="utf-8")
+    for value in (measured["edge_f1_now"], measured["edge_f1_now_unmeasured"]):
+        assert text.count(f'"figure">{short(value)}</td>') >= 2
+    assert len((page.parent / "table.csv").read_text().splitlines()) == 1 + len(numbers)
     assert (page.parent / "pickup.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -447,9 +369,8 @@ def test_info_of_a_dataset_names_what_is_recorded(
     turning = dataclasses.replace(plain, holding=pairs, orientation=np.zeros((4, 3, 1)))
     write_trajectories(tmp_path / "data.h5", [plain, turning])
     done("info", tmp_path / "data.h5")
-    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()[1:]]
-    assert lines == [
-        "steps 3 of 0.05 s",
+    lines = {" ".join(line.split()) for line in capsys.readouterr().out.splitlines()}
+    assert lines >= {
         "nodes 3: hand, box, wall",
         "control 3: force, force, switch",
         "contacts in 2 of 2 trajectories",
@@ -457,11 +378,8 @@ def test_info_of_a_dataset_names_what_is_recorded(
         "orientation in 1 of 2 trajectories",
         "static 1",
         "actuation hand: force, fits to 0 mm/s",
-        *(
-            f"{name}: at most 0 m/s and 0 rad/s; largest step 0 cm, to 0.05 s of trajectory 1"
-            for name in names
-        ),
-    ]
+        "wall: at most 0 m/s and 0 rad/s; largest step 0 cm, to 0.05 s of trajectory 1",
+    }
 
 
 def test_info_of_a_checkpoint_names_the_expected_format(

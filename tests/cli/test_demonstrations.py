@@ -78,16 +78,6 @@ def test_one_goal_for_any_number_of_distractors(tmp_path: Path) -> None:
         assert np.array_equal(one.position, again.position), "the same, however many are recorded"
 
 
-def test_explicit_defaults_change_nothing(tmp_path: Path) -> None:
-    said, unsaid = tmp_path / "said.h5", tmp_path / "unsaid.h5"
-    common = ["collect", "pickup", "--episodes", "2", "--seed", "5"]
-    assert cli.run([*common, "--goal", "sampled", "--expert", "train", "--out", str(said)]) == 0
-    assert cli.run([*common, "--out", str(unsaid)]) == 0
-    assert said.read_bytes() == unsaid.read_bytes()
-    first, second = read_trajectories(unsaid)
-    assert not np.array_equal(first.scene.goal, second.scene.goal)
-
-
 def test_trajectories_of_one_goal_can_be_trained_on(tmp_path: Path) -> None:
     path = tmp_path / "data.h5"
     arguments = ["collect", "pickup", "--goal", "fixed", "--resting", "0.5", "--episodes", "2"]

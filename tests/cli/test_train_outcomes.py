@@ -11,7 +11,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import Trajectory, read_trajectories, write_trajectories
-from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines, TrainConfig
+from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines
 
 BASELINES = HeldOutBaselines(0.375, 0.5, moving=True)
 
@@ -33,16 +33,24 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return end
 
 
-def trained(recorded: Path, tmp_path: Path) -> int:
-    options = ["--model", "gim-temp", "--steps", "3"]
-    return cli.run(["train", str(recorded), "--out", str(tmp_path / "run"), *options])
+@pytest.fixture
+def train(recorded: Path, tmp_path: Path) -> Callable[..., int]:
+    """Trains with these options in a folder, and answers the exit code."""
+
+    def command(*options: str, data: Path = recorded, out: str = "run") -> int:
+        return cli.run(["train", str(data), "--out", str(tmp_path / out), *options])
+
+    return command
+
+
+SHORT = ("--model", "gim-temp", "--steps", "3")
 
 
 def test_errors_stand_beside_their_baselines(
-    recorded: Path, tmp_path: Path, ends: Callable, capsys: pytest.CaptureFixture[str]
+    train: Callable, ends: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ends(FitStatus.finished, 0.125)
-    assert trained(recorded, tmp_path) == 0
+    assert train(*SHORT) == 0
     captured = capsys.readouterr()
     baselines = "constant velocity 37.500, standing still 50.000, moving bodies"
     checks = [line for line in captured.err.splitlines() if "training: " in line]
@@ -60,77 +68,86 @@ def test_errors_stand_beside_their_baselines(
 
 
 @pytest.mark.parametrize(
-    ("options", "model", "inference", "steps"),
+    ("flags", "parts", "written"),
     [
-        ([], "filter", "TransitionEdges", 750),
-        (["--model", "gim-temp"], "gim-temp", "RecurrentEdges", 2000),
+        ("", ("TransitionEdges", "SpringMassDamperDynamics"), {"model": "filter", "steps": 750}),
+        (
+            "--model gim-non-temp",
+            ("MemorylessEdges", "SpringMassDamperDynamics"),
+            {"model": "gim-non-temp", "steps": 2000},
+        ),
+        (
+            "--model full-ab",
+            ("RecurrentEdges", "FreeLinearDynamics"),
+            {"model": "full-ab", "steps": 2000},
+        ),
+        (
+            "--model filter --use-contacts --sensor estimate --edge-types 4",
+            ("TransitionEdges", "SpringMassDamperDynamics"),
+            {"use_contacts": True, "sensor": "estimate", "edge_types": 4},
+        ),
     ],
 )
-def test_the_default_model_for_forces_is_the_filter_and_steps_depend_on_the_model(
-    recorded: Path,
+def test_a_training_interrupted_before_its_first_step_is_resumed_with_its_options(
+    train: Callable,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: list[str],
-    model: str,
-    inference: str,
-    steps: int,
+    interrupted: Callable,
+    flags: str,
+    parts: tuple[str, str],
+    written: dict,
 ) -> None:
-    given = []
-
-    def fit(state, train, held_out, config, on_check, devices):
-        given.append((type(state.model.inference).__name__, config.steps))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("contactgraph.train.fit", fit)
-    run = tmp_path / "run"
-    assert cli.run(["train", str(recorded), "--out", str(run), *options]) == 130
-    assert cli.run(["train", str(recorded), "--out", str(run), "--resume"]) == 130
-    assert given == [(inference, steps)] * 2
-    assert steps % TrainConfig().check_every == 0, "a shorter last round is compiled once more"
+    """Without flags a filter is trained, and the number of steps depends on the model."""
+    calls, run = interrupted("contactgraph.train.fit"), tmp_path / "run"
+    assert train(*flags.split()) == 130
+    assert [path.name for path in run.glob("checkpoint-*")] == ["checkpoint-0000000000.safetensors"]
+    assert train("--resume") == 130
     config = json.loads((run / "config.json").read_text())
-    assert (config["model"], config["steps"]) == (model, steps)
+    assert {name: config[name] for name in written} == written
+    assert len(calls) == 2
+    for call in calls:
+        state, _, _, recipe = call.arguments[:4]
+        model = state.model
+        assert (type(model.inference).__name__, type(model.local_dynamics).__name__) == parts
+        assert recipe.steps == config["steps"] and recipe.use_contacts == config["use_contacts"]
+        assert recipe.steps % recipe.check_every == 0, "a shorter last round is compiled once more"
+        assert written.get("edge_types") in (None, model.inference.edge_types)
 
 
-@pytest.mark.parametrize("error", [0.375, 0.4, 0.6])
-def test_a_model_that_is_no_better_than_constant_velocity_is_named(
-    recorded: Path,
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    ("error", "moving", "warns"),
+    [
+        (0.375, True, "the model is no better than constant velocity or standing still"),
+        (0.125, False, "no body moves more than 1 mm in the held-out windows"),
+    ],
+)
+def test_an_error_that_says_little_is_named(
+    train: Callable,
     ends: Callable,
     capsys: pytest.CaptureFixture[str],
     error: float,
+    moving: bool,
+    warns: str,
 ) -> None:
-    ends(FitStatus.finished, error)
-    assert trained(recorded, tmp_path) == 0
-    (warning,) = (line for line in capsys.readouterr().err.splitlines() if "warning" in line)
-    assert "the model is no better than constant velocity or standing still" in warning
-
-
-def test_held_out_data_in_which_nothing_moves_are_named(
-    recorded: Path, tmp_path: Path, ends: Callable, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ends(FitStatus.finished, 0.125, replace(BASELINES, moving=False))
-    assert trained(recorded, tmp_path) == 0
-    captured = capsys.readouterr()
-    assert "standing still 50.000, all bodies" in captured.out
-    (warning,) = (line for line in captured.err.splitlines() if "warning" in line)
-    assert "no body moves more than 1 mm in the held-out windows" in warning
+    ends(FitStatus.finished, error, replace(BASELINES, moving=moving))
+    assert train(*SHORT) == 0
+    said, errors = capsys.readouterr()
+    assert f"standing still 50.000, {'moving' if moving else 'all'} bodies" in said
+    (warning,) = (line for line in errors.splitlines() if "warning" in line)
+    assert warns in warning
 
 
 @pytest.mark.parametrize("status", [FitStatus.dead_units, FitStatus.constant_velocity])
 def test_a_dead_network_is_neither_success_nor_the_users_mistake(
-    recorded: Path,
+    train: Callable,
     tmp_path: Path,
     ends: Callable,
     capsys: pytest.CaptureFixture[str],
     status: FitStatus,
 ) -> None:
     ends(status, 0.375)
-    assert trained(recorded, tmp_path) == 1
+    assert train(*SHORT) == 1
     *_, line = capsys.readouterr().err.splitlines()
-    assert line == (
-        f"contactgraph: {tmp_path / 'run'}: {status.value}; try another --seed, a lower "
-        "--learning-rate, more data or another --model"
-    )
+    assert line.startswith(f"contactgraph: {tmp_path / 'run'}: {status.value}; try another --seed")
 
 
 @pytest.mark.parametrize(("error", "better"), [(0.374, True), (0.3749, False), (0.6, False)])
@@ -141,13 +158,8 @@ def test_a_model_of_use_is_better_than_both_baselines(error: float, better: bool
         assert result.is_better is better
 
 
-@pytest.mark.parametrize(("options", "turns"), [([], True), (["--no-turns"], False)])
 def test_bodies_turn_unless_told_otherwise(
-    recorded: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: list[str],
-    turns: bool,
+    recorded: Path, train: Callable, tmp_path: Path, interrupted: Callable
 ) -> None:
     def turning(each: Trajectory) -> Trajectory:
         count = each.scene.node_count
@@ -158,15 +170,10 @@ def test_bodies_turn_unless_told_otherwise(
         return replace(each, scene=scene, orientation=angle, angular_velocity=rate)
 
     data = tmp_path / "turning.h5"
-    write_trajectories(data, map(turning, read_trajectories(recorded)))
-    given = []
-
-    def fit(state, train, held_out, config, on_check, devices):
-        given.append(state.model.features.turn_length is not None)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("contactgraph.train.fit", fit)
-    run = tmp_path / "run"
-    assert cli.run(["train", str(data), "--out", str(run), "--model", "bodies", *options]) == 130
-    assert cli.run(["train", str(data), "--out", str(run), "--resume"]) == 130
-    assert given == [turns, turns]
+    write_trajectories(data, map(turning, read_trajectories(recorded).trajectories[:4]))
+    calls = interrupted("contactgraph.train.fit")
+    assert train("--model", "bodies", data=data, out="turning") == 130
+    for flags in (("--model", "bodies", "--no-turns"), ("--resume",)):
+        assert train(*flags, data=data) == 130
+    lengths = [call.arguments[0].model.features.turn_length for call in calls]
+    assert [length is not None for length in lengths] == [True, False, False]

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.control import LQRProblem
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes, two_type_belief
 
@@ -37,16 +38,47 @@ def blocks(A21, A22, B2, offset2) -> LinearDynamics:
     )
 
 
-class StickyBodies(eqx.Module):
+def varying_problem(
+    rng: np.random.Generator, horizon: int, n: int, U: int, spread: float, least: float
+) -> LQRProblem:
+    """A random problem with every term: A is the identity and ``spread``, R at least ``least``."""
+    root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
+    return LQRProblem(
+        A=np.eye(n) + spread * rng.normal(size=(horizon, n, n)),
+        B=rng.normal(size=(horizon, n, U)),
+        offset=rng.normal(size=(horizon, n)),
+        Q=root_Q @ root_Q.swapaxes(1, 2),
+        R=root_R @ root_R.swapaxes(1, 2) + least * np.eye(U),
+        q=rng.normal(size=(horizon + 1, n)),
+        r=rng.normal(size=(horizon, U)),
+    )
+
+
+class Clock:
+    """Every reading is ``period`` seconds after the one before."""
+
+    def __init__(self):
+        self.now, self.period = 0.0, 0.0
+
+    def __call__(self):
+        self.now += self.period
+        return self.now
+
+
+class Apart(eqx.Module):
+    """Believes at first that nothing is in contact."""
+
+    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
+        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
+
+
+class StickyBodies(Apart):
     """Bodies of 1 kg; one closer than ``reach`` to node 0 sticks to it: hard switches.
 
     A stuck pair has the mass of both, and common velocity from the step of the touch on.
     """
 
     reach: float = 0.1
-
-    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
-        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state: ModelState, nodes: Nodes):
         pairs = pair_indices(state.position.shape[0])
@@ -68,13 +100,10 @@ class StickyBodies(eqx.Module):
         return blocks(zero, zero + 1.0, B2, jump), two_type_belief(probability)
 
 
-class Pendulum(eqx.Module):
+class Pendulum(Apart):
     """One upright pendulum of 1 m: nonlinear, smooth; position is the angle, 0 is up."""
 
     gravity: float = 9.81
-
-    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
-        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state: ModelState, nodes: Nodes):
         angle = state.position
@@ -84,7 +113,7 @@ class Pendulum(eqx.Module):
         return linear, state.belief
 
 
-class RandomModel(eqx.Module):
+class RandomModel(Apart):
     """Random springs that depend on the state smoothly, and switch where nodes come close."""
 
     weight: jnp.ndarray
@@ -93,9 +122,6 @@ class RandomModel(eqx.Module):
     """[N, D, U]"""
     switch: jnp.ndarray
     """[] how much the edge matters."""
-
-    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
-        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state: ModelState, nodes: Nodes):
         x, v = state.position, state.velocity
@@ -107,13 +133,10 @@ class RandomModel(eqx.Module):
         return blocks(A21, A22, DT * self.B2 * (1 + close), offset), two_type_belief(probability)
 
 
-class Broken(eqx.Module):
+class Broken(Apart):
     """Answers NaN once node 0 is beyond ``edge``; everywhere where it is None."""
 
     edge: float | None = None
-
-    def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
-        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state: ModelState, nodes: Nodes):
         one = jnp.ones_like(state.position)

@@ -143,7 +143,8 @@ def test_actuated_hinged_and_cost_nodes_are_required():
 def test_a_part_has_the_edges_and_the_costs_of_its_nodes():
     nodes = nodes_of(6, 8)
     listed = jnp.asarray([first == 2 or second == 4 for first, second in pair_indices(8)])
-    nodes = Nodes(nodes.actuated, nodes.mask, nodes.candidate & listed, None)
+    reach = jnp.full((8, 2, 2), jnp.nan).at[4].set(jnp.array([[-0.2, -0.3], [0.1, 0.2]]))
+    nodes = nodes._replace(candidate=nodes.candidate & listed, reach=reach)
     pick = chain_cost((4, 0), [3, 2, 0.2, 0.1], [50, 40, 1, 2], 0.01, (0.3, 0.6), 8)
     ids = np.array([0, 2, 4, 5, -1])
     rest = np.zeros((8, 2)), np.zeros((8, 2))
@@ -151,6 +152,7 @@ def test_a_part_has_the_edges_and_the_costs_of_its_nodes():
     assert part.nodes.mask.tolist() == [True, True, True, True, False]
     edges = pair_indices(5)[np.asarray(part.nodes.candidate)].tolist()
     assert edges == [[0, 2], [1, 2], [1, 3]]
+    np.testing.assert_array_equal(part.nodes.reach, reach[ids])
     assert part.inactive.tolist() == [1, 3] and part.cost.cost_node_ids.tolist() == [2, 0]
     assert part.required.tolist() == [True, False, True, False, False]
     rng = np.random.default_rng(0)

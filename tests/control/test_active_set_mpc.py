@@ -120,17 +120,9 @@ def both(
     return in_play
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [11, 30])
-def test_distant_distractors_are_inactive_and_change_nothing(local, whole, count):
-    for inside in both(local, whole, scene(count, seed=count), 4):
-        assert inside.tolist() == [0, 1]
-
-
-@pytest.mark.parametrize("count", [11, 30])
-def test_a_dense_scene_gives_the_plan_of_the_whole_scene(local, whole, count):
-    most = max(len(inside) for inside in both(local, whole, crowd(count, seed=count), 12))
-    assert 2 < most < count
+def test_a_dense_scene_gives_the_plan_of_the_whole_scene(local, whole):
+    most = max(len(inside) for inside in both(local, whole, crowd(30, seed=30), 12))
+    assert 2 < most < 30
 
 
 def test_a_distractor_on_the_path_is_active_and_matters(local, whole):

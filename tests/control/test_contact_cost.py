@@ -27,6 +27,8 @@ from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import ContactBelief
 
 H, N = 3, 4
+by_step = eqx.filter_jit(lambda cost, *given: cost.by_step(*given))
+expanded = eqx.filter_jit(lambda cost, *given: cost.expanded(*given))
 
 
 def states(seed: int = 0) -> jnp.ndarray:
@@ -49,7 +51,7 @@ def test_its_expansion_has_value_and_slope_of_the_cost_in_the_first_of_each_pair
     cost = make([(0, 2), (1, 3)], weight=weight)
     at, ids = states(), jnp.array([1, 0])
     believed = beliefs()
-    of_step = np.asarray(cost.by_step(at, believed))
+    of_step = np.asarray(by_step(cost, at, believed))
     assert np.all(of_step >= 0.0)
     here = at[:, :, 0]
     length = jnp.linalg.norm(here[:, [0, 1]] - here[:, [2, 3]], axis=-1)
@@ -66,8 +68,8 @@ def test_its_expansion_has_value_and_slope_of_the_cost_in_the_first_of_each_pair
 
     x = jnp.moveaxis(at[:, ids], 2, 1)
     np.testing.assert_allclose(nearby(x), of_step, atol=1e-12)
-    slope = jax.grad(lambda x: jnp.sum(nearby(x)))(x).reshape(H + 1, -1)
-    Q, q = cost.expanded(at, believed, ids)
+    slope = jax.jit(jax.grad(lambda x: jnp.sum(nearby(x))))(x).reshape(H + 1, -1)
+    Q, q = expanded(cost, at, believed, ids)
     whole = jnp.stack([block_state(each[:, 0], each[:, 1], ids) for each in at])
     assert np.max(np.abs(slope)) > 0.1
     np.testing.assert_allclose(2.0 * (jnp.einsum("tij,tj->ti", Q, whole) + q), slope, atol=1e-9)

@@ -1,6 +1,7 @@
 """Cost files: an exact round trip, and one line of error when damaged."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,18 +73,9 @@ def test_a_written_cost_is_read_unchanged(path: Path) -> None:
     assert describe_cost(path).made == MADE
 
 
-def test_a_file_describes_its_content(path: Path, tmp_path: Path) -> None:
+def test_what_was_read_is_written_to_the_same_bytes(path: Path, tmp_path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     assert (content["format"], content["format_version"]) == ("contactgraph-cost", 2)
-    assert "mean of R's diagonal is 1/N^2" in content["in_words"]["scale"]
-    assert [each["reason"] for each in content["task_nodes"]] == [
-        "actuated; in contact in 2 of 3 trajectories, from 0.8 s",
-        "in contact in 3 of 3 trajectories, from 0.85 s",
-        "no active edge in any of 2 trajectories",
-    ]
-    lines = path.read_text(encoding="utf-8").splitlines()
-    begin = lines.index('  "Q": [')
-    assert [len(json.loads(line.rstrip(","))) for line in lines[begin + 1 : begin + 9]] == [8] * 8
     again = tmp_path / "again.json"
     write_cost(again, read_cost(path), MADE)
     assert again.read_bytes() == path.read_bytes()
@@ -100,6 +92,20 @@ def test_unknown_fields_are_left_alone(path: Path) -> None:
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "colour": ["green"]}))
     assert np.array_equal(read_cost(path).Q, a_cost().Q)
+
+
+def refusal(path: Path) -> str:
+    """What is said of a file, in one line, after its name."""
+    with pytest.raises(InvalidInputError) as error:
+        read_cost(path)
+    said = str(error.value)
+    assert said.startswith(f"{path}: ") and "\n" not in said and len(said) < 400
+    return said.removeprefix(f"{path}: ")
+
+
+def second(**changes: Any) -> Callable[[list[dict]], list[dict]]:
+    """Of a list, with these fields of its second entry."""
+    return lambda entries: [entries[0], {**entries[1], **changes}, *entries[2:]]
 
 
 def negative(matrix: list[list[float]]) -> list[list[float]]:
@@ -132,24 +138,12 @@ ROW = [1.0] * 8
             {"Q": [[0.0] * 7 + [1.0]] + [[0.0] * 8] * 7},
             "field 'Q' must be symmetric, found 1 in row 0, column 7 and 0 the other way round",
         ),
-        (
-            {"Q": negative},
-            "field 'Q' must be positive semi-definite, but its smallest eigenvalue i",
-        ),
+        ({"Q": negative}, "field 'Q' must be positive semi-definite, but its smallest eigenvalue "),
         ({"R": []}, "field 'R' must be rows of numbers, as many as columns, found []"),
         ({"R": [[1.0, 0.0]]}, "field 'R' must be 1 x 1 numbers, found 1 x 2"),
-        (
-            {"R": [[1.0, 0.1], [0.0, 1.0]]},
-            "field 'R' must be symmetric, found 0.1 in row 0, column",
-        ),
-        (
-            {"R": [[1.0, 1.0], [1.0, 1.0]]},
-            "field 'R' must be positive definite, but its smallest e",
-        ),
-        (
-            {"R": negative},
-            "field 'R' must be positive definite, but its smallest eigenvalue is -0.",
-        ),
+        ({"R": [[1.0, 0.1], [0.0, 1.0]]}, "field 'R' must be symmetric, found 0.1 in row 0, colum"),
+        ({"R": [[1.0, 1.0], [1.0, 1.0]]}, "field 'R' must be positive definite, but its smallest "),
+        ({"R": negative}, "field 'R' must be positive definite, but its smallest eigenvalue is -0"),
         ({"goal": [0.0]}, "field 'goal' must be 2 numbers, found 1"),
         ({"goal": "here"}, "field 'goal' must be 2 numbers, found 'here'"),
         ({"nodes": [0, 0]}, "field 'nodes' must be 2 different whole numbers from 0 on, found [0,"),
@@ -175,18 +169,31 @@ ROW = [1.0] * 8
         ({"contacts": {}}, "field 'contacts' must be a list of objects, found {}"),
         ({"contacts": [{}]}, "contacts[0]: field 'kind' is missing"),
         (
-            {"contacts": [{"kind": "push", "nodes": ["gripper", "Öl-Kanne"], "weight": 1.0}]},
-            "contacts[0]: field 'kind' must be avoid, touch, hold, found 'push'",
+            {"contacts": second(kind="push")},
+            "contacts[1]: field 'kind' must be avoid, touch, hold, found 'push'",
         ),
         (
-            {"contacts": [{"kind": "avoid", "nodes": ["gripper", "lamp"], "weight": 1.0}]},
-            "contacts[0]: field 'nodes' must be two of gripper, Öl-Kanne, found gripper, lamp",
+            {"contacts": second(nodes=["gripper", "lamp"])},
+            "contacts[1]: field 'nodes' must be two of gripper, Öl-Kanne, found gripper, lamp",
         ),
         (
-            {"contacts": [{"kind": "hold", "nodes": ["gripper", "Öl-Kanne"], "weight": -1}]},
-            "contacts[0]: field 'weight' must be at least 0, found -1",
+            {"contacts": second(weight=-1)},
+            "contacts[1]: field 'weight' must be at least 0, found -1",
         ),
         ({"made": "by hand"}, "field 'made' must be an object, found 'by hand'"),
+        ({"task_nodes": second(name="")}, "task_nodes[1]: field 'name' must be a text, found ''"),
+        (
+            {"task_nodes": second(actuated=1)},
+            "task_nodes[1]: field 'actuated' must be true or false, found 1",
+        ),
+        (
+            {"task_nodes": second(trajectories=-1)},
+            "task_nodes[1]: field 'trajectories' must be a whole number of at least 0, found -1",
+        ),
+        (
+            {"task_nodes": second(first_contact_time_s=None)},
+            "task_nodes[1]: field 'first_contact_time_s' must be a finite number, found None",
+        ),
     ],
 )
 def test_wrong_fields_are_named(path: Path, change: dict[str, Any], said: str) -> None:
@@ -194,10 +201,7 @@ def test_wrong_fields_are_named(path: Path, change: dict[str, Any], said: str) -
     for name, value in change.items():
         content[name] = value(content[name]) if callable(value) else value
     path.write_text(json.dumps(content))
-    with pytest.raises(InvalidInputError) as error:
-        read_cost(path)
-    assert str(error.value).startswith(f"{path}: {said}")
-    assert "\n" not in str(error.value)
+    assert refusal(path).startswith(said)
 
 
 @pytest.mark.parametrize(
@@ -211,30 +215,7 @@ def test_missing_fields_are_named(path: Path, name: str) -> None:
     content = json.loads(path.read_text())
     del content[name]
     path.write_text(json.dumps(content))
-    with pytest.raises(InvalidInputError, match=rf"cost\.json: .*'{name}'"):
-        read_cost(path)
-
-
-@pytest.mark.parametrize(
-    ("place", "value", "said"),
-    [
-        ("name", "", "field 'name' must be a text, found ''"),
-        ("actuated", 1, "field 'actuated' must be true or false, found 1"),
-        ("trajectories", -1, "field 'trajectories' must be a whole number of at least 0, found -1"),
-        (
-            "first_contact_time_s",
-            None,
-            "field 'first_contact_time_s' must be a finite number, found None",
-        ),
-    ],
-)
-def test_wrong_task_nodes_are_named(path: Path, place: str, value: Any, said: str) -> None:
-    content = json.loads(path.read_text())
-    content["task_nodes"][1][place] = value
-    path.write_text(json.dumps(content))
-    with pytest.raises(InvalidInputError) as error:
-        read_cost(path)
-    assert f"task_nodes[1]: {said}" in str(error.value)
+    assert f"'{name}'" in refusal(path)
 
 
 @pytest.mark.parametrize(
@@ -256,17 +237,12 @@ def test_wrong_task_nodes_are_named(path: Path, place: str, value: Any, said: st
 )
 def test_other_files(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(InvalidInputError) as error:
-        read_cost(path)
-    said = str(error.value)
-    assert said.startswith(f"{path}: ") and "\n" not in said and len(said) < 400
+    refusal(path)
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match=r"none\.json: does not exist"):
-        read_cost(tmp_path / "none.json")
-    with pytest.raises(InvalidInputError, match="must be a file, found a folder"):
-        read_cost(tmp_path)
+    assert refusal(tmp_path / "none.json").startswith("does not exist")
+    assert "must be a file, found a folder" in refusal(tmp_path)
 
 
 def test_an_unreadable_cost_is_not_written(tmp_path: Path) -> None:

@@ -23,13 +23,6 @@ RUNS, HORIZON, N, U = 24, 12, 4, 2
 STARTS = np.array([(trajectory, 0) for trajectory in range(RUNS)])
 
 
-@pytest.fixture
-def double_precision():
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
-
-
 def no_contacts() -> BeliefCost:
     return BeliefCost(jnp.zeros((0, 2), int), jnp.zeros(0), 2, jnp.zeros(0, int))
 

@@ -20,18 +20,11 @@ import pytest
 
 from contactgraph.control import LQRProblem, LQRTrajectory, lqr_trajectory
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("double_precision")]
 
 SIZE, HORIZON, BATCH = 3, 4, 128
 """T = 5 states are four steps."""
 SEEDS = jnp.arange(3)
-
-
-@pytest.fixture(autouse=True)
-def double_precision():
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
 
 
 def trajectories(dynamics, weights, linear, starts) -> LQRTrajectory:

@@ -56,17 +56,13 @@ def test_task_nodes_and_reasons_are_stored(cost):
     assert cost.kept_nodes == ("gripper", "target") and cost.order == (0, 1)
     gripper, target, *others = cost.task_nodes
     assert gripper.actuated and gripper.kept and "actuated" in gripper.reason
-    assert (
-        target.active_trajectories == target.trajectories == 5
-        and "in contact in 5 of 5" in target.reason
-    )
-    assert (
-        target.first_contact_time == gripper.first_contact_time
-        and 0.5 < target.first_contact_time < 2.0
-    )
-    assert [each.name for each in others] == ["distractor-0", "distractor-1"]
-    assert not any(each.kept for each in others)
-    assert all(each.reason == "no active edge in any of 5 trajectories" for each in others)
+    assert target.active_trajectories == target.trajectories == 5
+    assert "in contact in 5 of 5" in target.reason
+    assert 0.5 < target.first_contact_time == gripper.first_contact_time < 2.0
+    assert [(each.name, each.kept, each.active_trajectories) for each in others] == [
+        ("distractor-0", False, 0),
+        ("distractor-1", False, 0),
+    ]
 
 
 @pytest.mark.slow
@@ -233,7 +229,7 @@ def test_a_control_at_its_limit_is_fixed_in_the_plan(model, runs):
             lambda run: replace(run, scene=replace(run.scene, goal=None)),
             "demonstration 1: goal is missing",
         ),
-        (lambda run: cut(run, 30, 60), "demonstration 1: the model infers no contact"),
+        (lambda run: resting(), "demonstration 1: the model infers no contact"),
         (
             lambda run: renamed(run, "target", "cup"),
             "demonstration 1: node_name must have 'target'",
@@ -241,9 +237,8 @@ def test_a_control_at_its_limit_is_fixed_in_the_plan(model, runs):
     ],
 )
 def test_demonstrations_that_do_not_serve_are_named(model, runs, spoil, message):
-    spoilt = spoil(runs[1]) if "infers" not in message else resting()
     with pytest.raises(InvalidInputError, match=message):
-        learn_cost(model, Dataset((runs[0], spoilt, *runs[2:])), RECIPE)
+        learn_cost(model, Dataset((runs[0], spoil(runs[1]), *runs[2:])), RECIPE)
 
 
 def test_no_control_and_another_kind_of_scene_are_named(model, runs):
@@ -263,15 +258,9 @@ def test_nodes_join_in_the_order_of_their_contacts(model, runs):
     assert [each.name for each in found[:2]] == ["gripper", "target"]
 
 
-def cut(run: Trajectory, *bounds: int) -> Trajectory:
-    begin, end = (0, *bounds)[-2:]
-    return replace(
-        run,
-        position=run.position[begin : end + 1],
-        velocity=run.velocity[begin : end + 1],
-        control=run.control[begin:end],
-        contact=run.contact[begin : end + 1],
-    )
+def cut(run: Trajectory, end: int) -> Trajectory:
+    states = {name: getattr(run, name)[: end + 1] for name in ("position", "velocity", "contact")}
+    return replace(run, control=run.control[:end], **states)
 
 
 def resting() -> Trajectory:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from control_models import blocks
+from control_models import blocks, varying_problem
 
 from contactgraph.control import ControlLimits, LQRProblem, solve_lqr
 from contactgraph.control.box_qp import solve_box_qp, solve_small
@@ -21,25 +21,11 @@ evaluated = jax.jit(lambda value, state: value(state))
 small = jax.jit(solve_small)
 
 
-@pytest.fixture(autouse=True)
-def double_precision():
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def random_problem(seed: int, horizon: int = 15, n: int = 6, U: int = 2) -> LQRProblem:
-    rng = np.random.default_rng(seed)
-    root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
-    return LQRProblem(
-        A=np.eye(n) + 0.2 * rng.normal(size=(horizon, n, n)),
-        B=rng.normal(size=(horizon, n, U)),
-        offset=rng.normal(size=(horizon, n)),
-        Q=root_Q @ root_Q.swapaxes(1, 2),
-        R=root_R @ root_R.swapaxes(1, 2) + 0.1 * np.eye(U),
-        q=rng.normal(size=(horizon + 1, n)),
-        r=rng.normal(size=(horizon, U)),
-    )
+    return varying_problem(np.random.default_rng(seed), horizon, n, U, 0.2, 0.1)
 
 
 def total_cost(problem: LQRProblem, states, controls):

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from control_models import varying_problem
 from jax.flatten_util import ravel_pytree
 
 from contactgraph.control import (
@@ -17,27 +18,13 @@ from contactgraph.control import (
 from contactgraph.control.box_qp import solve_small
 from contactgraph.control.lqr_adjoint import factor_kkt, solve_kkt
 
-
-@pytest.fixture(autouse=True)
-def double_precision():
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def random_problem(seed: int, horizon: int = 6, n: int = 4, U: int = 2):
     """A time-varying problem with every term, its start, and weights that make a loss of it."""
     rng = np.random.default_rng(seed)
-    root_Q, root_R = rng.normal(size=(horizon + 1, n, n)), rng.normal(size=(horizon, U, U))
-    problem = LQRProblem(
-        A=np.eye(n) + 0.3 * rng.normal(size=(horizon, n, n)),
-        B=rng.normal(size=(horizon, n, U)),
-        offset=rng.normal(size=(horizon, n)),
-        Q=root_Q @ root_Q.swapaxes(1, 2),
-        R=root_R @ root_R.swapaxes(1, 2) + np.eye(U),
-        q=rng.normal(size=(horizon + 1, n)),
-        r=rng.normal(size=(horizon, U)),
-    )
+    problem = varying_problem(rng, horizon, n, U, 0.3, 1.0)
     weights = LQRTrajectory(rng.normal(size=(horizon + 1, n)), rng.normal(size=(horizon, U)))
     return problem, rng.normal(size=n), weights
 
@@ -188,7 +175,7 @@ def sample_loss(sample, weights):
 
 
 loss_and_slope = jax.jit(jax.value_and_grad(sample_loss))
-SHARED = [((), 0), (("Q", "R"), -1), (("A", "B", "Q", "R"), 0), (("q", "offset", "start"), -1)]
+SHARED = [(("Q", "R"), -1), (("A", "B", "Q", "R"), 0), (("q", "offset", "start"), -1)]
 
 
 @pytest.mark.parametrize(("shared", "axis"), SHARED)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from control_models import StickyBodies, nodes_of
+from control_models import Clock, StickyBodies, nodes_of
 
 from contactgraph.control import ILQR, MPC, PlanStatus, chain_cost
 from contactgraph.data import InvalidInputError
@@ -27,16 +27,6 @@ def observed(speeds, position=(0.0, WIDER)) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def model():
     return load_model(shipped_model("pickup")).model
-
-
-class Clock:
-    """Every reading is ``step`` seconds after the one before."""
-
-    now = step = 0.0
-
-    def __call__(self) -> float:
-        self.now += self.step
-        return self.now
 
 
 CLOCK = Clock()
@@ -81,9 +71,9 @@ def test_the_applied_control_matters(inferring) -> None:
 def test_after_a_late_step_the_control_is_that_of_the_plan_that_was_returned(inferring) -> None:
     state = inferring.reset(observed([0.0, 0.0]), nodes_of(2, 2), COST)
     _, state = inferring.step(observed([0.0, 0.0]), None, state)
-    CLOCK.step = 0.02
+    CLOCK.period = 0.02
     late, after = inferring.step(observed([0.1, 0.1]), None, state)
-    CLOCK.step = 0.0
+    CLOCK.period = 0.0
     assert late.outcome == PlanStatus.DEADLINE_MISSED
     np.testing.assert_array_equal(after.last.control, late.controls[0])
     assert np.any(late.controls[0] != after.plan.controls[0])

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from control_models import DT, blocks, nodes_of, state_of
+from control_models import DT, Apart, blocks, nodes_of, state_of
 
 from contactgraph.control import (
     ILQR,
@@ -26,11 +26,8 @@ REST = state_of([[0.0], [0.0]], [[0.0], [0.0]])
 PLANNER = SwitchingILQR(H, 5, LIMITS, switches=(1,))
 
 
-class Clutch(eqx.Module):
+class Clutch(Apart):
     """A force moves body 0 of 1 kg; body 1 of 1 kg goes with it in steps whose command is on."""
-
-    def initial_belief(self, position, velocity, nodes):
-        return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
     def linear_step(self, state, nodes):
         on = jnp.zeros(()) if state.command is None else state.command[1]
@@ -138,23 +135,30 @@ def test_a_switch_has_two_values_and_no_feedback():
     np.testing.assert_array_equal(plan.policy.k[:, 1], plan.controls[:, 1])
 
 
+INDIFFERENT = cost((0.0, 0.0), (0.0, 0.0), switch=1e-9)
+
+
 def test_of_plans_that_cost_the_same_the_running_one_stays():
-    indifferent = cost((0.0, 0.0), (0.0, 0.0), switch=1e-9)
     schedule = (np.arange(H) < 5).astype(float)
-    plan = solve(PLANNER, REST, indifferent, guess_of(np.zeros(H)))
+    plan = solve(PLANNER, REST, INDIFFERENT, guess_of(np.zeros(H)))
     assert np.all(plan.controls[:, 1] == 0.0)
-    free = eqx.tree_at(lambda c: c.R, indifferent, jnp.diag(jnp.array([1e-3, 0.0])))
+    free = eqx.tree_at(lambda c: c.R, INDIFFERENT, jnp.diag(jnp.array([1e-3, 0.0])))
     plan = solve(PLANNER, REST, free, guess_of(schedule))
     np.testing.assert_array_equal(plan.controls[:, 1], schedule)
 
 
 def test_a_cost_of_switching_on_keeps_a_switch_off_that_would_hardly_pay():
-    gains = solve(PLANNER, REST, BOTH_GO, OFF).cost - solve_fixed(PLANNER, REST, BOTH_GO, OFF).cost
-    for share, on in ((0.9, 1.0), (1.1, 0.0)):
-        careful = SwitchingILQR(H, 5, LIMITS, switches=(1,), switching_cost=-share * float(gains))
-        assert np.all(solve(careful, REST, BOTH_GO, OFF).controls[:, 1] == on)
+    off, on = solve_fixed(PLANNER, REST, BOTH_GO, OFF), solve(PLANNER, REST, BOTH_GO, OFF)
+    gained = float(off.cost - on.cost)
+    careful = SwitchingILQR(H, 5, LIMITS, switches=(1,), switching_cost=gained)
+    for scale, expected in ((1.1, 1.0), (0.9, 0.0)):
+        weights = scale * BOTH_GO.Q, scale * BOTH_GO.R
+        scaled = eqx.tree_at(lambda c: (c.Q, c.R), BOTH_GO, weights)
+        assert np.all(solve(careful, REST, scaled, OFF).controls[:, 1] == expected)
         # It is on already: nothing is switched on.
-        assert np.all(solve(careful, REST, BOTH_GO, guess_of(1.0)).controls[:, 1] == 1.0)
+        assert np.all(solve(careful, REST, scaled, guess_of(1.0)).controls[:, 1] == 1.0)
+    # To switch off costs nothing.
+    assert np.all(solve(careful, REST, INDIFFERENT, guess_of(1.0)).controls[:, 1] == 0.0)
 
 
 def test_the_active_set_gives_the_same_controls():

@@ -86,11 +86,6 @@ def test_a_cost_in_radians_is_the_same_in_the_coordinates_of_a_model() -> None:
     np.testing.assert_allclose(alone, plain(states, controls[:3, 0]), rtol=1e-5)
 
 
-def test_a_cost_of_another_size_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"2ND entries for the capacity N = 3, found 8"):
-        chain_cost([0], PICK, GOAL, 0.01, [0.0, 0.0], node_count=2).fitted(model(), 3)
-
-
 def test_a_plan_turns_a_bar_to_the_angle_of_the_cost() -> None:
     """The hand stands below the bar's right half, on which it must push up."""
     limits = ControlLimits(jnp.full(2, -1.0), jnp.full(2, 1.0))

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.data.actuation_fit import (
-    ActuationFit,
-    driving_components,
-    fit_actuation,
-    fit_theta,
-)
+from contactgraph.data.actuation_fit import driving_components, fit_actuation, fit_theta
 
 DT = 0.05
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
@@ -102,16 +97,3 @@ def test_commands_drive_nothing() -> None:
     assert fit_actuation([run], 1.0)["hand"].matrix.shape == (2, 2)
     untold = driven(matrix, kind=None)
     np.testing.assert_array_equal(driving_components([untold]), [True, True, False])
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "damping", "said"),
-    [
-        (100.0, 15.0, "servo to a target, k 100 1/s^2, c 15 1/s, fits to 2 mm/s"),
-        (0.0, 15.0, "servo relative to the body, c 15 1/s, fits to 2 mm/s"),
-        (0.0, 0.0, "force, fits to 2 mm/s"),
-    ],
-)
-def test_a_fit_says_what_drives_a_body(stiffness: float, damping: float, said: str) -> None:
-    fit = ActuationFit(np.eye(2), np.zeros(2), stiffness, damping, residual=0.002)
-    assert str(fit) == said

@@ -273,16 +273,12 @@ def test_metadata_that_cannot_be_stored(tmp_path: Path, metadata: dict, message:
     write_trajectories(path, [one_run(1.0)])
     with pytest.raises(InvalidInputError, match=re.escape(message)):
         write_trajectories(path, [one_run(2.0)], metadata)
+    with pytest.raises(InvalidInputError, match=re.escape(f"trajectories/000001: {message}")):
+        write_trajectories(path, [one_run(), one_run(metadata=metadata)])
     assert read_trajectories(path).trajectories[0].position[0, 0, 0] == 1.0
     assert [file.name for file in tmp_path.iterdir()] == ["data.h5"], (
-        "a failed write leaves nothing behind"
+        "a failed write leaves nothing"
     )
-
-
-def test_a_name_that_cannot_be_stored(tmp_path: Path) -> None:
-    run = one_run(metadata={"x": "\0"})
-    with pytest.raises(InvalidInputError, match=r"trajectories/000001: metadata 'x'"):
-        write_trajectories(tmp_path / "data.h5", [one_run(), run])
 
 
 def test_unwritable_paths(tmp_path: Path) -> None:
@@ -308,7 +304,7 @@ for value in range(1, 1_000_000):
 
 def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path: Path) -> None:
     path = tmp_path / "data.h5"
-    pauses = np.random.default_rng(0).uniform(0.0, 0.05, size=20)
+    pauses = np.random.default_rng(0).uniform(0.0, 0.05, size=10)
     litter = 0
     for pause in pauses:
         write_trajectories(path, [one_run()], {"value": 0})

@@ -24,7 +24,7 @@ def thrown(steps: int, dt: float) -> Trajectory:
     position = np.zeros((steps + 1, 2, 2))
     position[1:] = np.cumsum(velocity[:-1], axis=0) * dt
     contact = np.zeros((steps + 1, 2, 2), dtype=bool)
-    contact[7, 0, 1] = contact[7, 1, 0] = True
+    contact[10, 0, 1] = contact[10, 1, 0] = True
     scene = Scene(("hand", "block"), ("hand", "block"), np.array([True, False]), dt)
     tracked = random.random((steps + 1, 2)) > 0.5
     measured_at = random.random((steps + 1, 2))

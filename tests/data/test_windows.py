@@ -166,16 +166,16 @@ def test_uniform_where_every_window_contains_an_event() -> None:
     np.testing.assert_allclose(windows.probability, 1 / 20)
 
 
-@pytest.mark.parametrize("length", [0, -1, 201])
-def test_a_window_longer_than_every_trajectory(length: int) -> None:
-    with pytest.raises(InvalidInputError, match="window_length must be 1 to 200"):
-        window_weights(pad_trajectories(DATASET), length)
-
-
-@pytest.mark.parametrize("fraction", [-0.1, 1.1, float("nan")])
-def test_a_fraction_that_is_none(fraction: float) -> None:
-    with pytest.raises(InvalidInputError, match="event_fraction must be 0 to 1"):
-        window_weights(pad_trajectories(DATASET), 12, fraction)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        *(((length,), "window_length must be 1 to 200") for length in (0, -1, 201)),
+        *(((12, each), "event_fraction must be 0 to 1") for each in (-0.1, 1.1, float("nan"))),
+    ],
+)
+def test_windows_that_are_none(arguments: tuple, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        window_weights(pad_trajectories(DATASET), *arguments)
 
 
 def test_a_body_that_leaves_and_comes_back_moves():

@@ -9,12 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError, read_trajectories
-from contactgraph.envs import (
-    AdaptedTask,
-    ChainCost,
-    RestPolicy,
-    check_task,
-)
+from contactgraph.envs import AdaptedTask, ChainCost, RestPolicy, check_task
 from contactgraph.envs.episodes import run_episode
 from contactgraph.interchange import parse_map
 
@@ -163,7 +158,7 @@ def test_orientations_are_the_environments_and_turn_at_their_rate() -> None:
 
 def test_the_sign_of_a_quaternion_does_not_jump() -> None:
     euler = run_episode(task(), Steady([0.0] * 3), 0).orientation
-    quaternion = '"observations/state[12:16]"'
+    quaternion = '{ columns = "observations/state[12:16]", order = "wxyz" }'
     jumping = f'{{ columns = "observations/state[6:9]", euler = "{ORDER}" }}', quaternion
     orientation = run_episode(task(jumping), Steady([0.0] * 3), 0).orientation
     assert orientation is not None and euler is not None
@@ -249,7 +244,11 @@ EULER = f', euler = "{ORDER}"'
         (("actions[0:3]", "actions[2:5]"), {}, r"'actions\[2:5\]' must lie in actions\[0:4\]"),
         (("scale = 0.02\n", "scale = [1, 1]\n"), {}, "scale must be 1 or 3 numbers, found 2"),
         (("scale = 0.02\n", "scale = 0\n"), {}, "the scale of a control must not be 0"),
-        (('body = "hand"', 'body = "fist"'), {}, "must name a body with actuated .*found 'fist'"),
+        (
+            ('body = "hand"', 'body = ["hand", "fist"]'),
+            {},
+            "must name a body with actuated .*found 'fist'",
+        ),
     ],
 )
 def test_a_map_that_does_not_fit_is_refused_in_one_line(

@@ -1,6 +1,7 @@
 """Each task violates one rule, and `check_task` must name it."""
 
 from dataclasses import replace
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -9,88 +10,74 @@ import pytest
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, PickupTask, check_task
 
-pytestmark = pytest.mark.usefixtures("engine")
+ANGLE = gymnasium.spaces.Box(-10.0, 10.0, (2, 1), np.float64)
 
 
 class Altered(PickupTask):
     """A pickup whose observations pass through `alter`."""
 
-    def alter(self, observation):
-        return observation
+    def __init__(self, alter=dict):
+        super().__init__()
+        self.alter = alter
 
-    def reset(self, **arguments):
-        observation, info = super().reset(**arguments)
-        return self.alter(observation), info
+    def observed(self):
+        return self.alter(self.seen())
 
-    def step(self, action):
-        observation, *rest = super().step(action)
-        return self.alter(observation), *rest
-
-
-class NotFinite(Altered):
-    def alter(self, observation):
-        observation["velocity"][1] = np.nan
-        return observation
+    def seen(self):
+        return super().observed()
 
 
-class OneSidedContact(Altered):
-    def alter(self, observation):
-        observation["contact"][0, 1] = 1
-        return observation
+class Turning(Altered):
+    """A pickup that observes holding and orientation as well."""
+
+    def __init__(self, alter=dict):
+        super().__init__(alter)
+        spaces = self.observation_space.spaces
+        more = {"holding": spaces["contact"], "orientation": ANGLE, "angular_velocity": ANGLE}
+        self.observation_space = gymnasium.spaces.Dict({**spaces, **more})
+
+    def seen(self):
+        observation = super().seen()
+        turned = {"holding": observation["contact"].copy(), "orientation": np.full((2, 1), 0.5)}
+        return {**observation, **turned, "angular_velocity": np.full((2, 1), -2.0)}
 
 
-class SelfContact(Altered):
-    def alter(self, observation):
-        np.fill_diagonal(observation["contact"], 1)
-        return observation
+def put(task=Altered, **values):
+    """A task with these arrays in its observations."""
+    return partial(task, lambda observation: {**observation, **values})
 
 
-class ContactAsFloat(Altered):
-    def alter(self, observation):
-        return {**observation, "contact": observation["contact"].astype(float)}
+def changed(**members):
+    """A pickup with other members."""
+    return type("Changed", (PickupTask,), members)
 
 
-class NodeTooMany(Altered):
-    def alter(self, observation):
-        return {**observation, "position": np.zeros((3, 2))}
+def with_scene(**fields):
+    """A pickup with other fields of its scene."""
+    return changed(scene=property(lambda self: replace(PickupTask.scene.fget(self), **fields)))
 
 
-class KeyTooFew(Altered):
-    def alter(self, observation):
-        del observation["velocity"]
-        return observation
+def with_space(task, **spaces):
+    """A task with other spaces."""
+
+    def factory():
+        made = task()
+        for name, space in spaces.items():
+            setattr(made, name, space)
+        return made
+
+    return factory
 
 
-class OtherGoal(Altered):
-    def alter(self, observation):
-        return {**observation, "goal": observation["goal"] + 0.01}
-
-
-class Overlapping(Altered):
-    def alter(self, observation):
-        observation["position"][1] = observation["position"][0] + 0.01
-        return observation
-
-
-class ReusedArrays(Altered):
+class ReusedArrays(PickupTask):
     kept = None
 
-    def alter(self, observation):
+    def observed(self):
+        observation = super().observed()
         self.kept = self.kept or observation
         for name, value in observation.items():
             self.kept[name][...] = value
         return self.kept
-
-
-class IgnoresSeed(PickupTask):
-    def reset(self, *, seed=None, options=None):
-        return super().reset(options=options)
-
-
-class NoisyStep(Altered):
-    def alter(self, observation):
-        observation["velocity"] += np.random.default_rng().normal(0.0, 1e-12, (2, 2))
-        return observation
 
 
 class DoesNotClip(PickupTask):
@@ -98,191 +85,134 @@ class DoesNotClip(PickupTask):
         return super().step(np.asarray(action) * (1.0 if np.abs(action).max() <= 10.0 else 0.5))
 
 
-class NeverEnds(PickupTask):
-    def step(self, action):
-        observation, reward, *_ = super().step(action)
-        return observation, reward, False, False, {}
-
-
-class UnboundedControl(PickupTask):
-    def __init__(self):
-        super().__init__()
-        self.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float64)
-
-
-class NobodyActuated(PickupTask):
-    @property
-    def scene(self):
-        return replace(super().scene, actuated=np.zeros(2, dtype=bool))
-
-
-class ForeignChain(PickupTask):
-    def cost_terms(self):
-        return ChainCost((0, 2), np.ones(4), np.ones(4), 1.0)
-
-
-class WeightsIn3D(PickupTask):
-    def cost_terms(self):
-        return ChainCost((0, 1), np.ones(6), np.ones(6), 1.0)
-
-
-class SceneOfItsOwn(PickupTask):
-    @property
-    def scene(self):
-        return {"nodes": 2}
-
-
-class SuccessAsNumber(PickupTask):
-    def success(self):
-        return 1.0
-
-
-class Renderable(PickupTask):
-    """A pickup with a stick to draw."""
-
-    stick = np.zeros((2, 2))
+class DrawnLongerAndLonger(PickupTask):
+    points = 1
 
     def link_positions(self):
-        return self.stick
+        self.points += 1
+        return np.zeros((self.points, 2))
 
 
-class DrawnAsOnePoint(Renderable):
-    stick = np.zeros((1, 2))
+def without_velocity(observation):
+    return {name: value for name, value in observation.items() if name != "velocity"}
 
 
-class DrawnInSpace(Renderable):
-    stick = np.zeros((4, 3))
+def with_other_goal(observation):
+    return {**observation, "goal": observation["goal"] + 0.01}
 
 
-class DrawnNowhere(Renderable):
-    stick = np.full((2, 2), np.nan)
+def overlapping(observation):
+    gripper = observation["position"][0]
+    return {**observation, "position": np.stack([gripper, gripper + 0.01])}
 
 
-class DrawnLongerAndLonger(Renderable):
-    def step(self, action):
-        self.stick = np.append(self.stick, np.zeros((1, 2)), axis=0)
-        return super().step(action)
+def noisy(observation):
+    noise = np.random.default_rng().normal(0.0, 1e-12, (2, 2))
+    return {**observation, "velocity": observation["velocity"] + noise}
 
 
-class Turning(PickupTask):
-    """A pickup that observes holding and orientation as well, each passed through `alter`."""
-
-    def __init__(self):
-        super().__init__()
-        angle = gymnasium.spaces.Box(-10.0, 10.0, (2, 1), np.float64)
-        self.observation_space = gymnasium.spaces.Dict(
-            {
-                **self.observation_space,
-                "holding": self.observation_space["contact"],
-                "orientation": angle,
-                "angular_velocity": angle,
-            }
-        )
-
-    def reset(self, **arguments):
-        observation, info = super().reset(**arguments)
-        return self.turned(observation), info
-
-    def step(self, action):
-        observation, *rest = super().step(action)
-        return self.turned(observation), *rest
-
-    def turned(self, observation):
-        turned = {"holding": observation["contact"].copy(), "orientation": np.full((2, 1), 0.5)}
-        return self.alter({**observation, **turned, "angular_velocity": np.full((2, 1), -2.0)})
-
-    def alter(self, observation):
-        return observation
+def drawn(links):
+    """A pickup with a stick to draw."""
+    return changed(link_positions=lambda self: links)
 
 
-class HoldsFromAfar(Turning):
-    def alter(self, observation):
-        return {**observation, "holding": np.array([[0, 1], [1, 0]], np.int8)}
+def with_cost(*arguments):
+    return changed(cost_terms=lambda self: ChainCost(*arguments))
 
 
-class HoldsAsFloat(Turning):
-    def alter(self, observation):
-        return {**observation, "holding": np.zeros((2, 2))}
+IGNORES_SEED = changed(reset=lambda self, **arguments: PickupTask.reset(self))
+NEVER_ENDS = changed(
+    step=lambda self, action: (*PickupTask.step(self, action)[:2], False, False, {})
+)
+UNBOUNDED = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float64)
+ONE_SIDED = np.array([[0, 1], [0, 0]], np.int8)
+NAN = np.full((2, 2), np.nan)
 
 
-class OneHoldsTheOther(Turning):
-    def alter(self, observation):
-        return {**observation, "holding": np.array([[0, 1], [0, 0]], np.int8)}
-
-
-class TurnsInSpace(Turning):
-    def alter(self, observation):
-        return {**observation, "orientation": np.ones((2, 4))}
-
-
-class TurnsUnknown(Turning):
-    def alter(self, observation):
-        return {**observation, "angular_velocity": np.full((2, 1), np.nan)}
-
-
-class TurnsUndeclared(Turning):
-    def __init__(self):
-        super().__init__()
-        self.observation_space = PickupTask().observation_space
-
-
-class OtherKinds(PickupTask):
-    @property
-    def scene(self):
-        return replace(super().scene, control_kind=("force", "force", "switch"))
-
-
-class OtherComponents(PickupTask):
-    @property
-    def scene(self):
-        return replace(super().scene, control_of=np.ones((2, 1), dtype=bool))
-
-
-def test_a_task_may_be_drawn():
-    check_task(Renderable)
-
-
-def test_a_task_may_observe_holding_and_orientation():
-    check_task(Turning)
+@pytest.mark.parametrize("task", [drawn(np.zeros((2, 2))), Turning])
+def test_a_task_may_be_drawn_and_may_observe_holding_and_orientation(task):
+    check_task(task)
 
 
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        (NotFinite, "velocity must be finite, found .*nan.* at reset"),
-        (OneSidedContact, "contact must be symmetric with a zero diagonal, violated at reset"),
-        (SelfContact, "contact must be symmetric with a zero diagonal"),
-        (ContactAsFloat, "contact must be int8, 0 or 1, found float64"),
-        (NodeTooMany, r"position must have the scene's shape \(2, 2\), found \(3, 2\)"),
-        (KeyTooFew, "an observation must have the keys .*velocity"),
-        (OtherGoal, "scene.goal must be the observed goal"),
-        (Overlapping, "found gripper and target overlapping by 0.06.* m"),
-        (ReusedArrays, "a step must not change the observation before it"),
-        (IgnoresSeed, "two tasks reset with seed 0 must agree"),
-        (NoisyStep, r"the same seed and controls give the same .* \(velocity differs\)|must agree"),
-        (DoesNotClip, "a control out of bounds must act as the nearest one within"),
-        (NeverEnds, "an episode must end after max_steps = 200 steps"),
-        (UnboundedControl, r"action_space must be a bounded Box of shape \(U,\)"),
-        (NobodyActuated, "scene.actuated must name at least one node"),
-        (ForeignChain, r"cost_terms\(\).chain must name nodes 0 to 1, found \(0, 2\)"),
-        (WeightsIn3D, r"cost_terms\(\) must have 4 weights"),
-        (SuccessAsNumber, r"success\(\) must be a bool, found float"),
-        (SceneOfItsOwn, "scene must be a contactgraph.data.Scene, found dict"),
+        (put(velocity=NAN), "velocity must be finite, found .*nan.* at reset"),
+        (put(contact=ONE_SIDED), "contact must be symmetric with a zero diagonal, violated at re"),
+        (put(contact=np.eye(2, dtype=np.int8)), "contact must be symmetric with a zero diagonal"),
+        (put(contact=np.zeros((2, 2))), "contact must be int8, 0 or 1, found float64"),
         (
-            DrawnAsOnePoint,
+            put(position=np.zeros((3, 2))),
+            r"position must have the scene's shape \(2, 2\), found \(3, 2\)",
+        ),
+        (partial(Altered, without_velocity), "an observation must have the keys .*velocity"),
+        (partial(Altered, with_other_goal), "scene.goal must be the observed goal"),
+        (partial(Altered, overlapping), "found gripper and target overlapping by 0.06.* m"),
+        (ReusedArrays, "a step must not change the observation before it"),
+        (IGNORES_SEED, "two tasks reset with seed 0 must agree"),
+        (
+            partial(Altered, noisy),
+            r"the same seed and controls give the same .* \(velocity differs\)|must agree",
+        ),
+        (DoesNotClip, "a control out of bounds must act as the nearest one within"),
+        (NEVER_ENDS, "an episode must end after max_steps = 200 steps"),
+        (
+            with_space(PickupTask, action_space=UNBOUNDED),
+            r"action_space must be a bounded Box of shape \(U,\)",
+        ),
+        (with_scene(actuated=np.zeros(2, dtype=bool)), "scene.actuated must name at least one n"),
+        (
+            with_cost((0, 2), np.ones(4), np.ones(4), 1.0),
+            r"cost_terms\(\).chain must name nodes 0 to 1, found \(0, 2\)",
+        ),
+        (
+            with_cost((0, 1), np.ones(6), np.ones(6), 1.0),
+            r"cost_terms\(\) must have 4 weights",
+        ),
+        (changed(success=lambda self: 1.0), r"success\(\) must be a bool, found float"),
+        (changed(scene={"nodes": 2}), "scene must be a contactgraph.data.Scene, found dict"),
+        (
+            drawn(np.zeros((1, 2))),
             r"link_positions\(\) must have shape \(P, 2\) with P >= 2, found \(1, 2\)",
         ),
-        (DrawnInSpace, r"link_positions\(\) must have shape \(P, 2\) .* found \(4, 3\) at reset"),
-        (DrawnNowhere, r"link_positions\(\) must be finite, found .*nan.* at reset"),
-        (DrawnLongerAndLonger, r"keep its 2 points, found 202 at the end of an episode"),
-        (HoldsFromAfar, "holding must imply contact, violated at reset"),
-        (HoldsAsFloat, "holding must be int8, 0 or 1, found float64 at reset"),
-        (OneHoldsTheOther, "holding must be symmetric with a zero diagonal, violated at reset"),
-        (TurnsInSpace, r"orientation must have the scene's shape \(2, 1\), found \(2, 4\)"),
-        (TurnsUnknown, "angular_velocity must be finite, found .*nan.* at reset"),
-        (TurnsUndeclared, "an observation must lie in observation_space, violated at reset"),
-        (OtherKinds, "scene.control_kind must be of 2 components, found 3"),
-        (OtherComponents, "scene.control_of must be of 2 components, found 1"),
+        (
+            drawn(np.zeros((4, 3))),
+            r"link_positions\(\) must have shape \(P, 2\) .* found \(4, 3\) at reset",
+        ),
+        (drawn(NAN), r"link_positions\(\) must be finite, found .*nan.* at reset"),
+        (DrawnLongerAndLonger, "keep its 2 points, found 3 at the end of an episode"),
+        (
+            put(Turning, holding=ONE_SIDED | ONE_SIDED.T),
+            "holding must imply contact, violated at reset",
+        ),
+        (
+            put(Turning, holding=np.zeros((2, 2))),
+            "holding must be int8, 0 or 1, found float64 at reset",
+        ),
+        (
+            put(Turning, holding=ONE_SIDED),
+            "holding must be symmetric with a zero diagonal, violated at reset",
+        ),
+        (
+            put(Turning, orientation=np.ones((2, 4))),
+            r"orientation must have the scene's shape \(2, 1\), found \(2, 4\)",
+        ),
+        (
+            put(Turning, angular_velocity=NAN[:, :1]),
+            "angular_velocity must be finite, found .*nan.* at reset",
+        ),
+        (
+            with_space(Turning, observation_space=PickupTask().observation_space),
+            "an observation must lie in observation_space, violated at reset",
+        ),
+        (
+            with_scene(control_kind=("force", "force", "switch")),
+            "scene.control_kind must be of 2 components, found 3",
+        ),
+        (
+            with_scene(control_of=np.ones((2, 1), dtype=bool)),
+            "scene.control_of must be of 2 components, found 1",
+        ),
         (object, "a task must be a gymnasium.Env, found object"),
     ],
 )

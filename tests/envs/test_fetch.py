@@ -1,7 +1,6 @@
 """The Fetch environments as tasks: poses, contacts, the table's edge, and the scripted policies."""
 
 import sys
-from functools import partial
 
 import numpy as np
 import pytest
@@ -75,15 +74,6 @@ def test_the_same_seed_repeats_an_episode_to_the_last_bit(
     again = run_episode(tasks[name], SCRIPTED[name][1](), int(first.scene.metadata["seed"]))
     for field in ("position", "velocity", "control", "contact", "orientation"):
         np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
-
-
-def test_velocities_are_differences_of_poses(episodes: dict[str, list[list]]) -> None:
-    for trajectory in (each for made in episodes.values() for some in made for each in some):
-        position, velocity = trajectory.position, trajectory.velocity
-        np.testing.assert_allclose(position[:-1] + 0.04 * velocity[1:], position[1:], atol=1e-12)
-        rotation = Rotation.from_quat(np.roll(trajectory.orientation[:, OBJECT], -1, axis=1))
-        step = Rotation.from_rotvec(0.04 * trajectory.angular_velocity[1:, OBJECT])
-        assert (step * rotation[:-1] * rotation[1:].inv()).magnitude().max() < 1e-6
 
 
 def test_the_pose_and_the_contact_are_the_simulators_own(tasks: dict[str, AdaptedTask]) -> None:
@@ -172,13 +162,3 @@ def test_a_slide_lets_go_of_the_puck(episodes: dict[str, list[list]]) -> None:
     ends = [each.position[-1] for each in episodes["slide"][0]]
     assert all(end[GRIPPER, 0] < reach for end in ends)
     assert sum(end[OBJECT, 0] > reach for end in ends) >= 1
-
-
-def test_experts_draw_their_speed(tasks: dict[str, AdaptedTask]) -> None:
-    gentle_to_rough = partial(fetch.push_expert, noise=0.0)
-    speeds = [
-        np.linalg.norm(run_episode(tasks["push"], gentle_to_rough(), seed).velocity[:, 0], axis=1)
-        for seed in (2, 3, 4)
-    ]
-    most = [float(np.percentile(speed, 90)) for speed in speeds]
-    assert max(most) > 1.1 * min(most) and max(most) < 0.7

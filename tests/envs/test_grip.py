@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.grip import (
-    BreakingHold,
-    DelayedHold,
-    HiddenSwitchHold,
-    SwitchedHold,
-)
+from contactgraph.envs.grip import BreakingHold, DelayedHold, HiddenSwitchHold, SwitchedHold
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 
-pytestmark = pytest.mark.usefixtures("engine")
-
+ON_EACH_ENGINE = pytest.mark.usefixtures("engine")
 DT = 0.05
 SUBSTEP = 0.005
 
@@ -81,6 +75,7 @@ def test_a_switch_holds_and_lets_go_of_what_is_touched():
     assert holds_after(rule, world, 3) == [True] * 3
 
 
+@ON_EACH_ENGINE
 def test_switched_off_bodies_keep_their_momentum_and_part_freely():
     world = two_discs(SwitchedHold(), gap=0.01, velocity=(1.0, 0.0))
     world.switch = 1.0
@@ -165,6 +160,7 @@ def test_a_hold_ends_above_its_tension():
     assert holds_after(rule, world, 3) == [False] * 3
 
 
+@ON_EACH_ENGINE
 @pytest.mark.parametrize(("pull", "holds"), [(-7.9, True), (-8.1, False), (10.0, True)])
 def test_half_the_pull_on_the_gripper_is_the_tension_of_a_pair(pull, holds):
     world = two_discs(BreakingHold(tension=4.0), gap=0.001, velocity=(0.1, 0.0))
@@ -177,6 +173,7 @@ def test_half_the_pull_on_the_gripper_is_the_tension_of_a_pair(pull, holds):
         assert -4.0501 * SUBSTEP < world.velocity[1, 0] - 0.05 < 0.001
 
 
+@ON_EACH_ENGINE
 def test_a_torn_off_body_must_part_before_it_is_held_again():
     world = two_discs(BreakingHold(tension=4.0), gap=0.001, velocity=(0.1, 0.0))
     for _ in range(3):
@@ -211,6 +208,7 @@ def test_a_delayed_hold_comes_after_its_time_without_interruption():
     assert holds_after(rule, world, 81) == [False] * 80 + [True]
 
 
+@ON_EACH_ENGINE
 def test_the_engine_holds_a_pressed_body_after_the_delay():
     world = two_discs(DelayedHold(0.4), gap=0.0005)
     holding, touching = [], []

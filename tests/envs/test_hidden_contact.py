@@ -1,17 +1,15 @@
-"""The tasks in which geometry does not tell holding: contract, labels, success, experts."""
+"""The tasks in which geometry does not tell holding: labels, success, experts."""
 
 from functools import partial
 
 import numpy as np
 import pytest
 
-from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
     CarryExpert,
     DelayTask,
     HandlingPolicy,
     ReleaseTask,
-    RestPolicy,
     StickyExpert,
     StickyTask,
     SuctionExpert,
@@ -19,8 +17,6 @@ from contactgraph.envs import (
 )
 from contactgraph.envs.episodes import collect, run_episode
 from contactgraph.envs.gripper_task import GRIPPER
-
-pytestmark = pytest.mark.usefixtures("engine")
 
 TARGET = 1
 HIDDEN = partial(SuctionTask, hidden_switch=True)
@@ -36,9 +32,9 @@ EVERY = pytest.mark.parametrize("name", list(TASKS))
 
 @pytest.fixture(scope="module")
 def recorded(engine):
-    """Of each task, 10 episodes of the training expert and 10 of handling."""
+    """Of each task, 6 episodes of the training expert and 6 of handling."""
     return {
-        name: collect([task], [expert()] * 10 + [HandlingPolicy()] * 10, 20, 0)
+        name: collect([task], [expert()] * 6 + [HandlingPolicy()] * 6, 12, 0)
         for name, (task, expert) in TASKS.items()
     }
 
@@ -49,16 +45,16 @@ def pairs_of(runs, label):
 
 
 @EVERY
-def test_a_seed_gives_the_same_episode_to_the_last_bit(name):
+def test_a_recorded_episode_repeats_to_the_last_bit(name, recorded):
     task, expert = TASKS[name]
-    for policy in (expert, HandlingPolicy):
-        one, same, other = (run_episode(task(), policy(), seed) for seed in (7, 7, 8))
+    for run, policy in ((recorded[name][5], expert()), (recorded[name][11], HandlingPolicy())):
+        again = run_episode(task(), policy, run.scene.metadata["seed"])
         for field in ("position", "velocity", "control", "contact", "holding"):
-            assert np.array_equal(getattr(one, field), getattr(same, field)), field
-        assert not np.array_equal(one.position, other.position)
+            assert np.array_equal(getattr(run, field), getattr(again, field)), field
 
 
 @EVERY
+@pytest.mark.usefixtures("engine")
 def test_the_target_and_the_rule_of_a_seed_do_not_depend_on_distractors(name):
     task, expert = TASKS[name]
     alone, among = (run_episode(task(distractors=count), expert(0.0), 3) for count in (0, 3))
@@ -69,32 +65,23 @@ def test_the_target_and_the_rule_of_a_seed_do_not_depend_on_distractors(name):
 
 
 @EVERY
-def test_both_labels_are_recorded_and_holding_is_contact(name, recorded):
-    for run in recorded[name]:
-        assert not np.any(run.holding & ~run.contact)
-        # The gripper alone holds.
-        assert not run.holding[:, 1:, 1:].any()
-
-
-@pytest.mark.parametrize("name", TASKS)
-def test_touching_without_holding_is_common(name, recorded):
-    touching, holding = pairs_of(recorded[name], "contact"), pairs_of(recorded[name], "holding")
+def test_the_gripper_alone_holds_and_often_touches_without_holding(name, recorded):
+    runs = recorded[name]
+    touching, holding = pairs_of(runs, "contact"), pairs_of(runs, "holding")
     free = np.sum(touching & ~holding) / np.sum(touching)
     assert free > (0.02 if name == "delay" else 0.3)
     assert np.sum(holding) / np.sum(touching) > 0.3
+    assert not any(run.holding[:, 1:, 1:].any() for run in runs)
+    away = np.concatenate([np.linalg.norm(run.position, axis=-1).ravel() for run in runs])
+    assert np.quantile(away, 0.9) < 3.0, "bodies do not fly off"
 
 
 @EVERY
-def test_bodies_do_not_fly_off(name, recorded):
-    away = np.concatenate([np.linalg.norm(run.position, axis=-1).ravel() for run in recorded[name]])
-    assert np.quantile(away, 0.9) < 3.0
-
-
-@EVERY
+@pytest.mark.usefixtures("engine")
 def test_the_expert_succeeds(name):
     task, expert = TASKS[name]
-    runs = collect([task], [expert(0.0)], 20, 1)
-    assert sum(run.scene.metadata["success"] for run in runs) >= 17
+    runs = collect([task], [expert(0.0)], 10, 1)
+    assert sum(run.scene.metadata["success"] for run in runs) >= 9
 
 
 def test_the_switch_is_a_control_of_its_own():
@@ -123,42 +110,28 @@ def drive(task, control, steps):
     return observation
 
 
-@pytest.mark.parametrize(
-    ("away", "speed", "switch", "success"),
-    [
-        (0.0195, 0.0, 0.0, True),
-        (0.0205, 0.0, 0.0, False),
-        (0.0, 0.019, 0.5, True),
-        (0.0, 0.021, 0.0, False),
-        (0.0, 0.0, 0.51, False),  # nothing is held, but the switch is on
-    ],
-)
-def test_suction_ends_with_the_target_put_down(monkeypatch, away, speed, switch, success):
+def test_suction_ends_with_the_target_put_down(monkeypatch):
     task = SuctionTask()
     task.reset(seed=0)
     for _ in range(task.max_steps):
         assert not task.success()
         task.step(np.zeros(3))
     position, velocity = task.world.position, np.zeros((2, 2))
-    position[TARGET] = task.scene.goal + np.array([0.0, away])
-    velocity[TARGET] = [speed, 0.0]
     monkeypatch.setattr(type(task.world), "position", position)
     monkeypatch.setattr(type(task.world), "velocity", velocity)
-    task.world.switch = switch
-    assert task.success() is success
-    holding = ~np.eye(2, dtype=bool)
-    monkeypatch.setattr(type(task.world), "holding", holding)
-    assert task.success() is False
-
-
-def test_suction_that_still_holds_at_the_goal_is_no_success():
-    class Keeps(SuctionExpert):
-        def __call__(self, observation):
-            return np.append(super().__call__(observation)[:2], 1.0)
-
-    run = run_episode(SuctionTask(), Keeps(0.0), 0)
-    assert np.linalg.norm(run.position[-1, TARGET] - run.scene.goal) < 0.02
-    assert run.holding[-1, GRIPPER, TARGET] and not run.scene.metadata["success"]
+    for away, speed, switch, held, success in [
+        (0.0195, 0.0, 0.0, False, True),
+        (0.0205, 0.0, 0.0, False, False),
+        (0.0, 0.019, 0.5, False, True),
+        (0.0, 0.021, 0.0, False, False),
+        (0.0, 0.0, 0.51, False, False),  # nothing is held, but the switch is on
+        (0.0, 0.0, 0.0, True, False),
+    ]:
+        position[TARGET] = task.scene.goal + np.array([0.0, away])
+        velocity[TARGET] = [speed, 0.0]
+        monkeypatch.setattr(type(task.world), "holding", np.full((2, 2), held))
+        task.world.switch = switch
+        assert task.success() is success, (away, speed, switch, held)
 
 
 @pytest.mark.parametrize("name", ["hidden-switch", "release", "delay"])
@@ -225,40 +198,12 @@ def test_the_switch_is_recorded_on_and_off_while_touching(recorded):
     assert 0.25 < np.mean(switch[touching]) < 0.85
 
 
-def test_nothing_moves_without_a_control():
-    for task, _ in TASKS.values():
-        run = run_episode(task(), RestPolicy(), 0)
-        assert run.control.shape[1] == task().action_space.shape[0]
-        assert np.array_equal(run.position[0], run.position[-1])
-        assert not run.contact.any()
-
-
 def test_a_fixed_goal_is_shared_but_the_holders_are_not():
-    runs = collect([partial(StickyTask, fixed_seed=4)], [RestPolicy()], 12, 0)
-    assert len({tuple(run.scene.goal) for run in runs}) == 1
-    assert all(np.array_equal(run.position[0, 1:], runs[0].position[0, 1:]) for run in runs)
-    assert len({run.scene.metadata["holders"] for run in runs}) >= 2
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: SuctionTask(21), "distractors must be 0 to 20, found 21"),
-        (lambda: StickyTask(1), "objects must be 2 to 5, found 1"),
-        (lambda: StickyTask(6), "objects must be 2 to 5, found 6"),
-        (lambda: HandlingPolicy(press=1.1), "press must be 0 to 1"),
-    ],
-)
-def test_numbers_out_of_range(make, message):
-    with pytest.raises(InvalidInputError, match=message):
-        make()
-
-
-@pytest.mark.parametrize("policy", [SuctionExpert, CarryExpert, StickyExpert, HandlingPolicy])
-def test_policies_refuse_scenes_without_a_target(policy):
-    task = DelayTask()
-    task.reset(seed=0)
-    scene = task.scene
-    alone = type(scene)(("gripper",), ("gripper",), np.array([True]), scene.dt, goal=scene.goal)
-    with pytest.raises(InvalidInputError, match="needs"):
-        policy().reset(alone, 0)
+    task, scenes = StickyTask(fixed_seed=4), []
+    for seed in range(12):
+        observation, _ = task.reset(seed=seed)
+        scenes.append((task.scene, observation["position"][1:]))
+    first, targets = scenes[0]
+    for scene, position in scenes:
+        assert np.array_equal(scene.goal, first.goal) and np.array_equal(position, targets)
+    assert len({scene.metadata["holders"] for scene, _ in scenes}) >= 2

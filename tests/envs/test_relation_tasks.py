@@ -1,7 +1,5 @@
 import numpy as np
-import pytest
 
-from contactgraph.data import InvalidInputError
 from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import run_episode
 from contactgraph.envs.relation_tasks import SPRING_STIFFNESS, SpringWorld
@@ -41,9 +39,3 @@ def test_a_force_moves_the_middle_of_joined_bodies():
     for _ in range(10):
         world.step(np.array([[0.0, 1.0], [0.0, 0.0]]))
     np.testing.assert_allclose(world.position.mean(axis=0), [0.0, 0.25], atol=1e-12)
-
-
-@pytest.mark.parametrize("bodies", [1, 21])
-def test_a_wrong_number_of_bodies_is_one_line(bodies):
-    with pytest.raises(InvalidInputError, match="objects must be 2 to 20, found"):
-        SpringsTask(bodies)

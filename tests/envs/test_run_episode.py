@@ -1,11 +1,23 @@
+"""Recording of episodes, one after the other or by several processes."""
+
+import os
+from functools import partial
+
 import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask, RestPolicy
+from contactgraph.envs import (
+    DoorExpert,
+    DoorTask,
+    ExplorationPolicy,
+    PickupExpert,
+    PickupTask,
+    RestPolicy,
+)
+from contactgraph.envs import episodes as collecting
 from contactgraph.evaluate import collect, run_episode
-
-pytestmark = pytest.mark.usefixtures("engine")
+from contactgraph.parallel import LocalExecutor
 
 
 class Pusher:
@@ -43,17 +55,12 @@ class TurningTask(PickupTask):
     """A pickup that counts its steps in the observed turn, and whose pairs in contact hold."""
 
     def reset(self, **arguments):
-        self.count = 0
-        observation, info = super().reset(**arguments)
-        return self.turned(observation), info
+        self.count = -1
+        return super().reset(**arguments)
 
-    def step(self, action):
+    def observed(self):
         self.count += 1
-        observation, *rest = super().step(action)
-        return self.turned(observation), *rest
-
-    def turned(self, observation):
-        angle = np.array([[1.0], [10.0]]) * self.count
+        observation, angle = super().observed(), np.array([[1.0], [10.0]]) * self.count
         turned = {"holding": observation["contact"], "orientation": angle}
         return {**observation, **turned, "angular_velocity": -angle}
 
@@ -64,11 +71,9 @@ def test_what_a_task_observes_of_holding_and_turning_is_recorded():
     assert np.array_equal(trajectory.holding, trajectory.contact)
     assert np.array_equal(trajectory.orientation[:, 1, 0], 10.0 * np.arange(201))
     assert np.array_equal(trajectory.angular_velocity[:, 0, 0], -np.arange(201))
-
-
-def test_a_task_that_does_not_observe_them_has_none_recorded():
-    trajectory = run_episode(PickupTask(), PickupExpert(), 4)
-    assert trajectory.holding is trajectory.orientation is trajectory.angular_velocity is None
+    plain = run_episode(PickupTask(), PickupExpert(), 4)
+    assert plain.holding is plain.orientation is plain.angular_velocity is None
+    assert plain.link_positions is None
 
 
 def test_the_recorded_control_is_the_clipped_one():
@@ -78,19 +83,11 @@ def test_the_recorded_control_is_the_clipped_one():
 
 def test_every_step_is_reported():
     observed = []
-    trajectory = run_episode(
-        PickupTask(),
-        PickupExpert(),
-        1,
-        lambda step, observation, control: observed.append(
-            (step, observation["position"], control)
-        ),
-    )
-    assert [step for step, _, _ in observed] == list(range(200))
-    assert np.array_equal(
-        np.stack([position for _, position, _ in observed]), trajectory.position[:-1]
-    )
-    assert np.array_equal(np.stack([control for _, _, control in observed]), trajectory.control)
+    trajectory = run_episode(PickupTask(), PickupExpert(), 1, lambda *step: observed.append(step))
+    steps, observations, controls = zip(*observed, strict=True)
+    assert steps == tuple(range(200)) and np.array_equal(np.stack(controls), trajectory.control)
+    positions = [observation["position"] for observation in observations]
+    assert np.array_equal(np.stack(positions), trajectory.position[:-1])
 
 
 class Watched(PickupTask):
@@ -98,17 +95,8 @@ class Watched(PickupTask):
 
     stick = np.array([[0.0, 2.0], [0.0, 0.0]])
 
-    def step(self, action):
-        observation, *others = super().step(action)
-        self.stick[1] = observation["position"][0]
-        return observation, *others
-
-    def reset(self, *, seed=None, options=None):
-        observation, info = super().reset(seed=seed, options=options)
-        self.stick[1] = observation["position"][0]
-        return observation, info
-
     def link_positions(self):
+        self.stick[1] = self.world.position[0]
         return self.stick
 
 
@@ -117,54 +105,35 @@ def test_a_task_that_is_drawn_has_its_links_recorded_at_every_state():
     assert trajectory.link_positions.shape == (201, 2, 2)
     assert np.array_equal(trajectory.link_positions[:, 1], trajectory.position[:, 0])
     assert np.array_equal(trajectory.link_positions[:, 0], np.tile([0.0, 2.0], (201, 1)))
-    assert run_episode(PickupTask(), PickupExpert(), 4).link_positions is None
 
 
 def test_metadata_names_the_policy_and_keeps_the_task():
     task = PickupTask()
     trajectory = run_episode(task, RestPolicy(), 9)
-    assert (
-        trajectory.scene.metadata["policy"] == "RestPolicy"
-        and trajectory.scene.metadata["seed"] == 9
-    )
-    assert trajectory.scene.metadata["success"] is False
+    found = [trajectory.scene.metadata[name] for name in ("policy", "seed", "success")]
+    assert found == ["RestPolicy", 9, False]
     assert run_episode(task, PickupExpert(), 9).scene.metadata["success"] is True
     assert "policy" not in task.scene.metadata
 
 
-def test_a_trajectory_does_not_depend_on_their_number():
-    few = collect([PickupTask], [PickupExpert()], 2, 3)
-    many = collect([PickupTask], [PickupExpert()], 4, 3)
-    assert all(same(one, other) for one, other in zip(few, many, strict=False))
-    assert not same(many[0], many[1])
-
-
-def test_the_seed_in_the_metadata_reproduces_the_trajectory():
-    trajectory = collect([PickupTask], [PickupExpert()], 3, 5)[2]
-    assert same(
-        trajectory, run_episode(PickupTask(), PickupExpert(), trajectory.scene.metadata["seed"])
+def test_a_trajectory_depends_on_its_seed_alone():
+    few, many, others = (
+        collect([PickupTask], [PickupExpert()], count, seed)
+        for count, seed in [(2, 3), (4, 3), (1, 4)]
     )
-
-
-def test_other_seeds_give_other_trajectories():
-    assert not same(*(collect([PickupTask], [PickupExpert()], 1, seed)[0] for seed in (0, 1)))
+    assert all(same(one, other) for one, other in zip(few, many, strict=False))
+    assert not same(many[0], many[1]) and not same(many[0], others[0])
+    again = run_episode(PickupTask(), PickupExpert(), many[3].scene.metadata["seed"])
+    assert same(many[3], again)
 
 
 def test_policies_take_turns_and_every_trajectory_is_reported():
     done = []
     mix = [PickupExpert(), PickupExpert(), ExplorationPolicy(), RestPolicy()]
     trajectories = collect([PickupTask], mix, 6, 0, done.append)
-    assert [trajectory.scene.metadata["policy"] for trajectory in trajectories] == [
-        "PickupExpert",
-        "PickupExpert",
-        "ExplorationPolicy",
-        "RestPolicy",
-        "PickupExpert",
-        "PickupExpert",
-    ]
-    assert len(done) == 6 and all(
-        one is other for one, other in zip(done, trajectories, strict=True)
-    )
+    found = [trajectory.scene.metadata["policy"] for trajectory in trajectories]
+    assert found == [type(mix[index % 4]).__name__ for index in range(6)]
+    assert all(one is other for one, other in zip(done, trajectories, strict=True))
 
 
 def test_tasks_take_turns_and_each_trajectory_is_as_recorded_alone():
@@ -194,3 +163,35 @@ def test_the_policy_has_a_seed_of_its_own():
     run_episode(PickupTask(), policy, 5)
     assert policy.seed != 5, "noise from the scene's numbers would depend on the layout"
     assert policy.seed == int(np.random.SeedSequence(5).generate_state(1)[0])
+
+
+class Signed(PickupTask):
+    """Records its process id."""
+
+    def begin(self, seed):
+        scene, world = super().begin(seed)
+        scene.metadata["recorder"] = os.getpid()
+        return scene, world
+
+
+def test_several_processes_record_the_same_bits_as_one(monkeypatch):
+    # Processes begin after the first run, whether they pay or not.
+    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
+    monkeypatch.setattr(collecting, "_START_S", 0.0)
+    # Runs follow other runs than they would in one process: nothing may be left of those.
+    tasks, reported = [Signed, partial(DoorTask, fixed_seed=7)], []
+    mix = [PickupExpert(), DoorExpert(), ExplorationPolicy(), DoorExpert()]
+    trajectories = collect(tasks, mix, 9, 3, reported.append, executor=LocalExecutor(2))
+    alone = collect([PickupTask, tasks[1]], mix, 9, 3)
+    assert all(same(one, other) for one, other in zip(trajectories, alone, strict=True))
+    assert all(one is other for one, other in zip(reported, trajectories, strict=True))
+    recorders = [trajectory.scene.metadata["recorder"] for trajectory in trajectories[::2]]
+    assert recorders[0] == os.getpid() and os.getpid() not in recorders[1:]
+
+
+def test_quick_episodes_start_no_workers(monkeypatch):
+    def map_in_order(*arguments):
+        raise AssertionError("it does not pay")
+
+    monkeypatch.setattr(collecting, "map_in_order", map_in_order)
+    assert len(collect([PickupTask], [PickupExpert()], 5, 0, executor=LocalExecutor(64))) == 5

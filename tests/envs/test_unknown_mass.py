@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from contactgraph.data import InvalidInputError
-from contactgraph.envs import DoorTask, ForcedPush, UnknownMassTask
+from contactgraph.envs import ForcedPush, UnknownMassTask
 from contactgraph.envs.episodes import run_episode
-
-pytestmark = pytest.mark.usefixtures("engine")
 
 DT, SLOWDOWN = 0.05, 0.1 * 9.81
 
@@ -84,12 +81,3 @@ def test_the_demonstrator_brings_blocks_of_any_mass_to_the_goal(pushes):
 def test_exploration_touches_blocks_and_stays_near(explored):
     assert np.mean([run.contact[:, 0, 1].any() for run in explored]) >= 0.8
     assert max(np.abs(run.position[:, 0]).max() for run in explored) < 1.3
-
-
-def test_a_push_by_force_refuses_other_controls():
-    door = DoorTask()
-    door.reset(seed=0)
-    with pytest.raises(InvalidInputError, match="needs an actuated node 0 and a control of two"):
-        ForcedPush().reset(door.scene, 0)
-    with pytest.raises(InvalidInputError, match="distractors must be 0 to 20, found 21"):
-        UnknownMassTask(21)

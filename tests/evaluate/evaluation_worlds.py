@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from contactgraph.data import Scene, Trajectory, pair_indices
 from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes, two_type_belief
@@ -14,11 +15,12 @@ class GluedBodies(eqx.Module):
     """Bodies of 1 kg; an edge once believed stays, and makes one rigid group of its nodes.
 
     Corrected by true contacts this is exactly the frozen-contact world. With a ``reach`` edges
-    also become active where nodes are nearer than it, now or one step ahead.
+    also become active where nodes are nearer than it, now or one step ahead. Both are arrays, so
+    that worlds that differ in them share compiled programs.
     """
 
-    theta: float = 0.55
-    reach: float = 0.0
+    theta: Array = eqx.field(converter=jnp.asarray, default=0.55)
+    reach: Array = eqx.field(converter=jnp.asarray, default=0.0)
 
     def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
         return two_type_belief(jnp.full(nodes.candidate.shape, 0.1, position.dtype))

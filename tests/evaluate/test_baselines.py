@@ -5,7 +5,7 @@ import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.envs import PickupExpert, PickupTask
+from contactgraph.envs import DoorExpert, DoorTask, PickupExpert, PickupTask
 from contactgraph.evaluate import collect
 from contactgraph.evaluate.baselines import (
     constant_velocity,
@@ -15,29 +15,12 @@ from contactgraph.evaluate.baselines import (
 )
 
 
-def rmse(predicted, trajectory, windows):
-    steps = predicted.shape[1]
-    errors = [
-        trajectory.position[start + 1 : start + steps + 1] - predicted[start]
-        for start in np.flatnonzero(windows)
-    ]
-    return np.sqrt(np.mean(np.sum(np.square(errors), axis=-1)))
-
-
-def test_constant_velocity_by_hand():
+def test_predictions_without_forces_by_hand():
     trajectory = random_run(2, 6, 0)
-    predicted = constant_velocity(trajectory, 3)
-    assert predicted.shape == (4, 3, 2, 2)
-    assert np.allclose(predicted[2, 1], trajectory.position[2] + 2 * DT * trajectory.velocity[2])
-
-
-def test_standing_still_by_hand():
-    trajectory = random_run(2, 6, 0)
-    predicted = standing_still(trajectory, 3)
-    assert predicted.shape == (4, 3, 2, 2)
-    for start in range(4):
-        assert np.array_equal(predicted[start, 0], trajectory.position[start])
-        assert np.array_equal(predicted[start, 2], trajectory.position[start])
+    flying, still = constant_velocity(trajectory, 3), standing_still(trajectory, 3)
+    assert flying.shape == still.shape == (4, 3, 2, 2)
+    assert np.allclose(flying[2, 1], trajectory.position[2] + 2 * DT * trajectory.velocity[2])
+    assert np.array_equal(still, np.repeat(trajectory.position[:4, None], 3, axis=1))
 
 
 def test_joined_through_others():
@@ -48,7 +31,7 @@ def test_joined_through_others():
     assert np.array_equal(joined(contact)[0], blocks)
 
 
-@pytest.mark.parametrize("substeps", [1, 4, 10])
+@pytest.mark.parametrize("substeps", [1, 4])
 def test_frozen_contact_against_substeps_of_a_loop(substeps):
     """Masses that differ, a chain of three of which two are pushed, and one that is alone."""
     mass = np.array([1.0, 2.0, 4.0, 3.0])
@@ -123,21 +106,6 @@ def test_a_control_of_another_size_than_the_dimension():
     assert np.array_equal(fixed_contact_oracle(more, 2), fixed_contact_oracle(trajectory, 2))
 
 
-def test_a_control_that_is_no_force_gives_none():
-    trajectory = random_run(2, 4, 0)
-    control = np.column_stack([trajectory.control, np.ones(4)])
-    for kinds, known in (
-        (("force", "force", "switch"), True),
-        (("force", "position", "switch"), False),
-        (("displacement", "displacement", "other"), False),
-    ):
-        scene = replace(trajectory.scene, control_kind=kinds)
-        found = fixed_contact_oracle(replace(trajectory, scene=scene, control=control), 2)
-        assert (found is not None) == known
-    passive = replace(scene, actuated=np.zeros(2, bool))
-    assert fixed_contact_oracle(replace(trajectory, scene=passive, control=control), 2) is not None
-
-
 def test_a_static_body_stays_and_holds_its_group():
     """A pillar of no known mass holds the second body; the first is pushed past them."""
     scene = replace(
@@ -180,36 +148,40 @@ def test_only_components_that_are_forces_push():
     )
     for kind in ("position", "displacement", "velocity", "other"):
         assert pushed(control_kind=(*kinds[:3], kind), control_of=own) is None
+    passive = {"actuated": np.zeros(2, bool), "control_of": None}
+    assert pushed(control_kind=("switch", *["position"] * 3), **passive) is not None
 
 
 def test_unknown_masses_contacts_or_hinges_in_space_give_none():
     trajectory = random_run(2, 4, 0)
-    assert fixed_contact_oracle(trajectory, 2) is not None
+    scene, known = trajectory.scene, fixed_contact_oracle(trajectory, 2)
+    assert known is not None
     assert fixed_contact_oracle(replace(trajectory, contact=None), 2) is None
-    assert (
-        fixed_contact_oracle(replace(trajectory, scene=replace(trajectory.scene, mass=None)), 2)
-        is None
-    )
-    deep = replace(trajectory.scene, dimension=3, anchor=np.zeros((2, 3)), metadata={})
-    in_space = Trajectory(
-        deep, np.zeros((5, 2, 3)), np.zeros((5, 2, 3)), np.zeros((4, 2)), trajectory.contact
-    )
+    weightless = replace(trajectory, scene=replace(scene, mass=None))
+    assert fixed_contact_oracle(weightless, 2) is None
+    deep = replace(scene, dimension=3, anchor=np.zeros((2, 3)))
+    still = np.zeros((5, 2, 3))
+    in_space = Trajectory(deep, still, still, trajectory.control, trajectory.contact)
     assert fixed_contact_oracle(in_space, 2) is None
-    nowhere = replace(trajectory.scene, anchor=np.full((2, 2), np.nan))
-    assert np.array_equal(
-        fixed_contact_oracle(replace(trajectory, scene=nowhere), 2),
-        fixed_contact_oracle(trajectory, 2),
-    )
+    nowhere = replace(trajectory, scene=replace(scene, anchor=np.full((2, 2), np.nan)))
+    assert np.array_equal(fixed_contact_oracle(nowhere, 2), known)
 
 
-def test_on_real_pickups_only_changes_of_contact_are_hard():
-    for trajectory in collect([PickupTask], [PickupExpert()], 2, 0):
-        starts = trajectory.steps - 9
-        change = np.array(
-            [(trajectory.contact[t : t + 11] != trajectory.contact[t]).any() for t in range(starts)]
-        )
-        assert change.any() and not change.all()
-        predicted = fixed_contact_oracle(trajectory, 10)
-        assert rmse(predicted, trajectory, ~change) < 1e-4
-        assert rmse(predicted, trajectory, change) > 0.03
-        assert rmse(constant_velocity(trajectory, 10), trajectory, ~change) > 0.01
+@pytest.mark.parametrize(
+    ("task", "expert", "tolerance", "least"),
+    [(PickupTask, PickupExpert, 1e-4, 0.03), (DoorTask, DoorExpert, 1e-3, 0.01)],
+)
+def test_in_the_simulator_only_changes_of_contact_are_hard(task, expert, tolerance, least):
+    (trajectory,) = collect([task], [expert()], 1, 0)
+    starts = trajectory.steps - 9
+    windows = np.arange(starts)[:, None] + np.arange(11)
+    change = (trajectory.contact[windows] != trajectory.contact[windows[:, :1]]).any(axis=(1, 2, 3))
+    assert change.any() and not change.all()
+
+    def rmse(baseline, chosen):
+        errors = baseline(trajectory, 10) - trajectory.position[windows[:, 1:]]
+        return np.sqrt(np.mean(np.sum(errors[chosen] ** 2, axis=-1)))
+
+    assert rmse(fixed_contact_oracle, ~change) < tolerance
+    assert rmse(fixed_contact_oracle, change) > least
+    assert rmse(constant_velocity, ~change) > 0.01

@@ -4,7 +4,6 @@ from functools import partial
 
 import equinox as eqx
 import gymnasium
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from evaluation_worlds import DT, scene_of
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, RestPolicy, StickyTask
 from contactgraph.evaluate import TaskCost, control_by_policy, control_task, episode_seeds
-from contactgraph.model import LinearDynamics, ModelConfig, gim_temp, two_type_belief
+from contactgraph.model import LinearDynamics, two_type_belief
 
 STEPS = 24
 GAIN = {"displacement": 0.05, "position": 0.3}
@@ -167,14 +166,6 @@ def test_a_task_without_control_is_refused():
         control_task(Hand("displacement", 0), task, 1, 0)
     with pytest.raises(InvalidInputError, match=message):
         control_by_policy(RestPolicy(), task, 1, 0)
-
-
-def test_a_model_for_another_control_size_is_refused():
-    model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
-    task = partial(HandTask, "position", [0.0] * 3, [1.0] * 3, (0.0, 0.0), (1.0, 1.0))
-    message = "^the model is for control size U 2, but the task has 3; they must agree$"
-    with pytest.raises(InvalidInputError, match=message):
-        control_task(model, task, 1, 0)
 
 
 def test_a_policy_gets_the_seeds_of_a_model():

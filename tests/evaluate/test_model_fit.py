@@ -35,16 +35,23 @@ def test_models_fit_their_own_kind(models) -> None:
 
 
 @pytest.mark.parametrize(
-    ("hinges", "scene", "message"),
+    ("hinges", "scene", "size", "message"),
     [
-        (1, FREE, "the model is for bodies on hinges, but the data has no anchor, the position "),
-        (0, HINGED, "the model has no hinges, but the data has an anchor; train a model on such "),
-        (0, replace(FREE, dt=0.1), "the model is for dt 0.05 s, but the data has 0.1 s; "),
+        (
+            1,
+            FREE,
+            2,
+            "the model is for bodies on hinges, but the data has no anchor, the position ",
+        ),
+        (0, HINGED, 2, "the model has no hinges, but the data has an anchor; train a model on "),
+        (0, replace(FREE, dt=0.1), 2, "the model is for dt 0.05 s, but the data has 0.1 s; "),
+        (0, replace(FREE, dimension=3), 2, "the model is for dimension D 2, but the data has 3; "),
+        (0, FREE, 0, "the model is for control size U 2, but the data has 0; they must agree"),
     ],
 )
-def test_a_mismatch_is_named_in_one_line(models, hinges, scene, message) -> None:
+def test_a_mismatch_is_named_in_one_line(models, hinges, scene, size, message) -> None:
     with pytest.raises(InvalidInputError) as caught:
-        check_fit(models[hinges], scene, 2, "the data")
+        check_fit(models[hinges], scene, size, "the data")
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 

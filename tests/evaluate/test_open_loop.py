@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run, scene_of
+from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
@@ -18,43 +18,6 @@ from contactgraph.evaluate import (
     model_diagnostics,
 )
 from contactgraph.model import ModelConfig, bodies, gim_temp
-
-PREDICTIONS = {
-    "n_step": ("", "_unmeasured", "_inferred"),
-    **dict.fromkeys(("constant_velocity", "standing_still", "frozen_contact"), ("",)),
-    **dict.fromkeys(("least_squares", "gnn"), ("",)),
-}
-JSON_KEYS = {
-    *("runs", "windows", "n_steps", "diverged_windows", "verdict"),
-    *(
-        f"{name}_rmse{chosen}{beliefs}_m"
-        for name, sources in PREDICTIONS.items()
-        for chosen in ("", "_moving", "_free", "_contact")
-        for beliefs in sources
-    ),
-    *(
-        f"edge_{score}{beliefs}"
-        for score in ("precision", "recall", "f1", "accuracy", "false_alarm_rate", "on_time")
-        for beliefs in ("", "_unmeasured", "_inferred")
-    ),
-    *(
-        f"edge_{score}_now{beliefs}"
-        for score in ("precision", "recall", "f1", "accuracy")
-        for beliefs in ("", "_unmeasured", "_inferred")
-    ),
-    *(
-        f"{name}{ahead}{beliefs}"
-        for name in ("calibration_error", "brier_score", "log_score", "reliability")
-        for ahead in ("", "_ahead")
-        for beliefs in ("", "_unmeasured", "_inferred")
-    ),
-    *("switch_time_error_s", "switch_time_error_unmeasured_s", "switch_time_error_inferred_s"),
-    *("n_step_rmse_moving_by_type_m", "n_step_rmse_moving_by_run_m"),
-    *(f"angle_rmse{beliefs}_rad" for beliefs in ("", "_unmeasured", "_inferred")),
-    *("constant_velocity_angle_rmse_rad", "gnn_angle_rmse_rad", "turned_over_accuracy"),
-    *("mass_error_median", "mass_error_p90", "mass_interval_coverage"),
-    *("rest_drift_m", "pin_drift_m"),
-}
 
 
 @pytest.fixture(scope="module")
@@ -88,23 +51,17 @@ def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
 
 
-def test_errors_by_type_are_those_of_the_moving_bodies_of_each_type(glued):
-    measured, moves = glued.detail.measured, glued.detail.moves
-    found = glued.to_json()["n_step_rmse_moving_by_type_m"]
+def test_errors_by_type_and_by_run_are_those_of_the_moving_bodies(glued):
+    detail, found = glued.detail, glued.to_json()
+    squared = detail.measured.squared_error.transpose(0, 2, 1)
+
+    def rms(chosen):
+        return pytest.approx(np.sqrt(squared[detail.moves & chosen].mean()))
+
     for node, name in enumerate(("gripper", "object")):
-        assert found[name] == pytest.approx(
-            np.sqrt(measured.squared_error[:, :, node][moves[:, node]].mean())
-        )
-    assert found["gripper"] != found["object"]
-
-
-def test_errors_by_run_are_those_of_the_moving_bodies_in_its_windows(glued):
-    squared, moves = glued.detail.measured.squared_error, glued.detail.moves
-    found = glued.to_json()["n_step_rmse_moving_by_run_m"]
-    for run, error in enumerate(found):
-        of_run = moves & (glued.detail.trajectory == run)[:, None]
-        assert error == pytest.approx(np.sqrt(squared.transpose(0, 2, 1)[of_run].mean()))
-    assert len(found) == 2 and found[0] != found[1]
+        assert found["n_step_rmse_moving_by_type_m"][name] == rms(np.arange(3) == node)
+    of_runs = [rms((detail.trajectory == run)[:, None]) for run in (0, 1)]
+    assert found["n_step_rmse_moving_by_run_m"] == of_runs and of_runs[0] != of_runs[1]
 
 
 def test_drift_is_the_largest_error_where_nothing_moves(pickups):
@@ -122,14 +79,14 @@ def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups):
     touching = [
         replace(each, contact=np.ones_like(each.contact), holding=each.contact) for each in pickups
     ]
-    dataset, faulty = Dataset(tuple(touching)), SensorFaults(miss_rate=0.2)
-    for faults in (SensorFaults(), faulty):
-        found = evaluate_open_loop(GluedBodies(), dataset, faults=faults).numbers
-        expected = evaluate_open_loop(GluedBodies(), pickups, faults=faults).numbers
-        # Of two types `holding` and `probability` differ by rounding.
-        known = {name: value for name, value in expected.items() if value is not None}
-        assert {name: found[name] for name in known} == pytest.approx(known, rel=1e-5)
-        assert all(found[name] is None for name in expected.keys() - known.keys())
+    found, expected = (
+        evaluate_open_loop(GluedBodies(), data, faults=SensorFaults(miss_rate=0.2)).numbers
+        for data in (Dataset(tuple(touching)), pickups)
+    )
+    # Of two types `holding` and `probability` differ by rounding.
+    known = {name: value for name, value in expected.items() if value is not None}
+    assert {name: found[name] for name in known} == pytest.approx(known, rel=1e-5)
+    assert all(found[name] is None for name in expected.keys() - known.keys())
 
 
 @pytest.mark.slow
@@ -165,14 +122,6 @@ def test_a_predicted_contact_is_on_time(pickups, glued):
     assert seer["switch_time_error_s"] < glued["switch_time_error_s"]
     assert seer["edge_recall"] > glued["edge_recall"]
     assert seer["n_step_rmse_contact_m"] < glued["n_step_rmse_contact_m"]
-    eager = evaluate_open_loop(GluedBodies(reach=0.3), pickups)
-    assert eager["edge_precision"] < seer["edge_precision"] and eager["edge_f1"] < seer["edge_f1"]
-
-
-def test_a_worse_model_has_worse_numbers(pickups, glued):
-    worse = evaluate_open_loop(GluedBodies(theta=1.0), pickups)
-    assert worse["n_step_rmse_free_m"] > 10 * glued["n_step_rmse_free_m"]
-    assert worse["frozen_contact_rmse_m"] == glued["frozen_contact_rmse_m"]
 
 
 def test_metrics_against_a_loop():
@@ -229,20 +178,6 @@ def test_the_belief_is_carried_once_for_every_step():
     assert np.array_equal(detail.unmeasured.edge_active[:, :, 0], made <= 3)
 
 
-def test_bodies_at_rest_dilute_only_the_mean_over_all():
-    position = np.zeros((5, 2, 2))
-    position[:, 0, 0] = 0.1 * np.arange(5)
-    still = Trajectory(scene_of(2), position, np.zeros((5, 2, 2)), np.zeros((4, 2)))
-    found = evaluate_open_loop(GluedBodies(), Dataset((still,)), horizon_s=2 * DT)
-    assert found["n_step_rmse_moving_m"] == pytest.approx(np.sqrt((0.1**2 + 0.2**2) / 2), rel=1e-5)
-    assert found["n_step_rmse_m"] == pytest.approx(
-        found["n_step_rmse_moving_m"] / np.sqrt(2), rel=1e-5
-    )
-    resting = replace(still, position=np.zeros((5, 2, 2)))
-    found = evaluate_open_loop(GluedBodies(), Dataset((resting,)), horizon_s=2 * DT)
-    assert found["n_step_rmse_moving_m"] is None and found["n_step_rmse_m"] == 0.0
-
-
 def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
     dataset = Dataset((random_run(3, 8, 0, goal=np.ones(2)), random_run(3, 8, 1)))
     full = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
@@ -267,7 +202,7 @@ def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
 
 
 def test_custom_metrics(untrained):
-    dataset = Dataset((random_run(2, 6, 0),))
+    dataset = Dataset((random_run(3, 8, 0),))
 
     def last_error(detail: OpenLoopDetail) -> float:
         return float(np.sqrt(detail.measured.squared_error[:, -1].max()))
@@ -340,30 +275,8 @@ def test_a_model_that_explodes_is_reported_and_is_valid_json():
     assert found.diverged_windows == found.windows == 5 and found["n_step_rmse_m"] == np.inf
     assert found.to_json()["n_step_rmse_m"] is None
     assert found.to_json()["constant_velocity_rmse_m"] > 0
-    json.dumps(found.to_json(), allow_nan=False)
+    assert json.loads(json.dumps(found.to_json(), allow_nan=False)) == found.to_json()
     assert set(found.to_json()["n_step_rmse_moving_by_type_m"].values()) == {None}
-
-
-def test_json_keys(glued):
-    assert set(glued.to_json()) == JSON_KEYS
-    assert json.loads(json.dumps(glued.to_json(), allow_nan=False)) == glued.to_json()
-
-
-def test_a_model_for_other_data(untrained):
-    run = random_run(2, 5, 0)
-    bare = replace(run, control=np.zeros((5, 0)))
-    with pytest.raises(InvalidInputError, match="control size U 2, but the data has 0"):
-        evaluate_open_loop(untrained, Dataset((bare,)), horizon_s=2 * DT)
-    slower = replace(run, scene=replace(run.scene, dt=0.1))
-    with pytest.raises(InvalidInputError, match=r"for dt 0.05 s, but the data has 0.1 s"):
-        evaluate_open_loop(untrained, Dataset((slower,)))
-    deeper = replace(untrained, dimension=3)
-    with pytest.raises(InvalidInputError, match="dimension D 3, but the data has 2"):
-        evaluate_open_loop(deeper, Dataset((run,)))
-
-
-def test_the_error_of_moving_bodies_leads(glued):
-    assert next(iter(glued.to_json())) == "n_step_rmse_moving_m"
 
 
 def test_the_usual_horizon_is_one_step_where_that_is_longer():

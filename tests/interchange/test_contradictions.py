@@ -56,9 +56,15 @@ def ros(tmp_path: Path) -> tuple[Ros, Any]:
 def test_names_behind_a_hash_and_tables_without_names(tmp_path: Path) -> None:
     (one,) = imported(table(tmp_path, "# time,x,y", ROWS.tolist()), XY)
     assert len(one.position) == 40 and speeds(one).max() == pytest.approx(0.3)
-    for header, above in (("0,1,2", ""), ("0 1 2", "# time x y\n")):
-        with pytest.raises(InvalidInputError, match="a line of names, separated by commas"):
-            table(tmp_path, header, ROWS.tolist(), above)
+    with pytest.raises(InvalidInputError, match="a line of names, separated by a comma"):
+        table(tmp_path, "0,1,2", ROWS.tolist())
+    for above in ("", "# "):
+        path = tmp_path / "spaces.csv"
+        path.write_text(
+            f"{above}time x y\n" + "".join("{:g} {:g}  {:g}\n".format(*row) for row in ROWS)
+        )
+        (one,) = imported(read_csv(path), XY)
+        assert len(one.position) == 40 and speeds(one).max() == pytest.approx(0.3)
 
 
 @settings(max_examples=20, deadline=None)
@@ -100,13 +106,13 @@ def test_times_of_plotting_tools_are_times(tmp_path: Path, name: str) -> None:
 def test_a_column_that_may_be_times_is_not_passed_over(tmp_path: Path) -> None:
     uneven = ROWS[np.arange(40) != 20].tolist()
     recording = table(tmp_path, "ros_stamp,x,y", uneven)
-    assert "column 'ros_stamp' may be uneven times" in refused(recording, XY)
+    assert "column 'ros_stamp' may time or count" in refused(recording, XY)
     (one,) = imported(recording, XY, time='columns = "ros_stamp"\n')
     assert len(one.position) == 40
     (one,) = imported(table(tmp_path, "timestep,x,y", ROWS.tolist()), XY)  # even: no harm
     assert speeds(one).max() == pytest.approx(0.3)
     days = [["2026-03-01", f"12:00:{time:06.3f}", *row] for time, *row in uneven]
-    assert "column 'Date' may be" in refused(table(tmp_path, "Date,TimeOfDay,x,y", days), XY)
+    assert "column 'Date' may time" in refused(table(tmp_path, "Date,TimeOfDay,x,y", days), XY)
 
 
 def test_rows_of_several_bodies_in_turn(tmp_path: Path, capsys) -> None:
@@ -115,6 +121,117 @@ def test_rows_of_several_bodies_in_turn(tmp_path: Path, capsys) -> None:
     recording = table(tmp_path, "id,x,y", [row[1:] for row in rows])
     (warning,) = motion_warnings(body_motions(Dataset(imported(recording, XY))))
     assert "positions of box alternate" in warning
+
+
+def test_columns_that_count_or_time_rows_that_are_missing(tmp_path: Path) -> None:
+    rows = ROWS[np.arange(40) != 20, 1:].tolist()
+    counted = [[n + n // 20, *row] for n, row in enumerate(rows)]
+    assert "column 'idx' may time or count" in refused(table(tmp_path, "idx,x,y", counted), XY)
+    seconds = [[n // 20, *row] for n, row in enumerate(rows)]
+    assert "column 'stamp.sec' may" in refused(table(tmp_path, "stamp.sec,x,y", seconds), XY)
+    french = [[0.05 * n, *row] for (n, *row) in counted]
+    (one,) = imported(table(tmp_path, "Temps (s),x,y", french), XY)
+    assert speeds(one).max() == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("flag", ["truncated", "done"])
+def test_flags_end_episodes(tmp_path: Path, flag: str) -> None:
+    rows = [[0.015 * n, k, n == 19 and k < 2] for k in range(3) for n in range(20)]
+    found = imported(table(tmp_path, f"x,y,{flag}", rows), XY)
+    assert [each.steps for each in found] == [19, 19, 19]
+    assert max(speeds(each).max() for each in found) == pytest.approx(0.3)
+
+
+def test_numbers_stand_for_constant_columns(tmp_path: Path) -> None:
+    names = "p[0],p[1],p[2],force"
+    recording = table(tmp_path, names, [[7, *row[1:], 2.5] for row in ROWS.tolist()])
+    push = '[[control]]\ncolumns = ["force", 0]\nkind = "force"\nbody = "box"\nscale = 2\n'
+    body = BODY.format('"p[1:3]"') + "actuated = true\norientation = { columns = [0.5] }\n"
+    (one,) = imported(recording, body + push)
+    np.testing.assert_array_equal(one.control, [[5.0, 0.0]] * 39)
+    np.testing.assert_allclose(one.position[:, 0], ROWS[:, 1:])
+    assert np.all(one.orientation == 0.5)
+    for wrong in ('"p[2:1]"', '"p[2:4]"', "[]", '["p[0]", nan]', '["p[0]", true]'):
+        assert "position" in refused(recording, BODY.format(wrong))
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "scale"),
+    [
+        ("x_mm,y_mm", '["x_mm", "y_mm"]', 0.001),
+        ("x [cm],y [cm]", '["x [cm]", "y [cm]"]', 0.01),
+        ("fix.longitude,fix.latitude", '["fix.longitude", "fix.latitude"]', 7e4),
+        ("cx_px,cy_px", '["cx_px", "cy_px"]', 0.002),
+    ],
+)
+def test_a_unit_in_a_name_needs_its_scale(
+    tmp_path: Path, names: str, columns: str, scale: float
+) -> None:
+    recording = table(tmp_path, names, ROWS[:, 1:].tolist())
+    assert "scale must be" in refused(recording, BODY.format(columns))
+    if "mm" in names:  # the wrong way round
+        wrong = BODY.format(f"{{ columns = {columns}, scale = 1000 }}")
+        assert "'x_mm' is in mm: scale must be 0.001" in refused(recording, wrong)
+    text = BODY.format(f"{{ columns = {columns}, scale = {scale} }}")
+    assert speeds(imported(recording, text)[0]).max() == pytest.approx(0.3 * scale)
+
+
+def test_positions_and_orientations_change_axes_together(tmp_path: Path) -> None:
+    half = 0.5 * TIME  # about y, which points up
+    rows = np.column_stack([ROWS[:, 1:], 0 * half, 0 * half, np.sin(half), 0 * half, np.cos(half)])
+    recording = table(tmp_path, "x,y,z,q[0],q[1],q[2],q[3]", rows.tolist())
+    place = "{{ columns = [{}], scale = [1, {}, 1] }}"
+    up = SPACE + BODY.format(place.format('"x", "z", "y"', -1))
+    turn = 'orientation = {{ columns = ["q[0]", {}, "q[3]"], order = "xyzw", scale = {} }}\n'
+    whole = turn.format('"q[1]", "q[2]"', 1)
+    said = refused(recording, up + whole)
+    assert "box: position and orientation must be about the same axes" in said
+    (one,) = imported(recording, up + turn.format('"q[2]", "q[1]"', "[1, -1, 1, 1]"))
+    np.testing.assert_allclose(one.angular_velocity[:, 0], [[0, 0, 1]] * 40, atol=1e-3)
+    (one,) = imported(recording, SPACE + BODY.format('["x", "y", "z"]') + whole)
+    np.testing.assert_allclose(one.angular_velocity[:, 0], [[0, 1, 0]] * 40, atol=1e-3)
+
+
+def test_poses_that_are_carried_forward_are_named(tmp_path: Path) -> None:
+    rows = [[0.015 * (n // 5), 1] for n in range(100)]
+    recording = table(tmp_path, "x,y", rows)
+    (warning,) = motion_warnings(body_motions(Dataset(imported(recording, XY))))
+    assert "positions of box change in every 5 steps alone" in warning
+
+
+@pytest.mark.parametrize(
+    ("touch", "message"), [((8, 850), "c must be 0 to 1, found 8 to 850"), ((0.08, 0.03), "")]
+)
+def test_contacts_are_from_0_to_1(tmp_path: Path, touch: tuple, message: str) -> None:
+    rows = [[*row, 3, 1, touch[n > 20]] for n, row in enumerate(ROWS[:, 1:].tolist())]
+    recording = table(tmp_path, "x,y,u,v,c", rows)
+    other = BODY.replace("box", "b").format('["u", "v"]')
+    text = f'{XY}{other}[[holding]]\nbodies = ["box", "b"]\ncolumns = "c"\n'
+    if message:
+        assert message in refused(recording, text)
+    else:
+        text = f"dimension = 2\n[time]\ndt = 0.05\n{text}"
+        _, notes = to_trajectories(recording, parse_map("map", text))
+        assert any("holding[0]: c is never above 0.5" in each for each in notes)
+
+
+def test_true_and_false_are_numbers(tmp_path: Path) -> None:
+    rows = [[*row, 3, 1, n > 20] for n, row in enumerate(ROWS[:, 1:].tolist())]
+    other = BODY.replace("box", "b").format('["u", "v"]')
+    pair = '[[contact]]\nbodies = ["box", "b"]\ncolumns = "c"\n'
+    (one,) = imported(table(tmp_path, "x,y,u,v,c", rows), XY + other + pair)
+    np.testing.assert_array_equal(one.contact[:, 0, 1], np.arange(40) > 20)
+
+
+def test_numbers_that_are_no_quaternion_and_angles_in_another_order(tmp_path: Path) -> None:
+    rows = np.column_stack([ROWS, 0 * TIME, 0 * TIME, 0 * TIME + 1, 0.5 * TIME])
+    axis_angle = table(tmp_path, "time,x,y,a,b,c,d", rows.tolist())
+    turn = 'orientation = { columns = ["a", "b", "c", "d"], order = "xyzw" }\n'
+    assert "must have length 1, found" in refused(axis_angle, XY + turn)
+    angles = table(tmp_path, "x,y,z,roll,pitch,yaw", rows[:, 1:].tolist())
+    box = SPACE + BODY.format('["x", "y", "z"]')
+    turn = 'orientation = { columns = ["roll", "pitch", "yaw"], euler = "ZYX" }\n'
+    assert "must be in the order of euler, ZYX" in refused(angles, box + turn)
 
 
 def test_an_episode_that_is_named_once(tmp_path: Path) -> None:
@@ -256,9 +373,8 @@ def test_the_order_of_a_quaternion_is_that_of_the_recording(tmp_path: Path) -> N
     untold = table(tmp_path, "x,y,a,b,c,d", rows[:, 1:].tolist())
     assert "order must be given" in refused(untold, XY + 'orientation = ["a", "b", "c", "d"]\n')
     np.testing.assert_allclose(one.orientation[:, 0, 0], TIME, atol=1e-4)
-    first = '{ columns = ["q_x", "q_y", "q_z", "q_w"], order = "wxyz", axis = "x" }'
-    (one,) = imported(named, XY + f"orientation = {first}\n")  # the map knows better than names
-    assert np.isfinite(one.orientation).all()
+    first = '{ columns = ["q_x", "q_y", "q_z", "q_w"], order = "wxyz" }'
+    assert "order, xyzw, found wxyz" in refused(named, XY + f"orientation = {first}\n")
 
 
 @pytest.mark.parametrize(
@@ -455,6 +571,30 @@ def test_frames_that_contradict_the_map(ros: tuple[Ros, Any]) -> None:
     assert "table: must be measured more than once" in refused(recording, BOX + table_map)
     (one,) = imported(recording, f"{BOX}{table_map}static = true\n")
     np.testing.assert_allclose(one.position[:, 1, 0], 2.0)
+
+
+def test_controls_in_another_frame_or_with_gaps_are_named(
+    ros: tuple[Ros, Any], tmp_path: Path
+) -> None:
+    maker, recorded = ros
+    messages = []
+    for n in range(80):
+        time = START + 0.05 * n
+        messages.append((time, "/box", maker.stamped(time, 0.015 * n)))
+        if not 20 <= n < 40:
+            force = maker("geometry_msgs/Vector3", 8.0, 0.0, 0.0)
+            wrench = maker("geometry_msgs/Wrench", force, force)
+            stamped = maker("geometry_msgs/WrenchStamped", maker.header(time, "tool0"), wrench)
+            messages.append((time, "/ft", stamped))
+    control = '[[control]]\ncolumns = "/ft.wrench.force[0:2]"\nkind = "force"\nbody = "box"\n'
+    text = f"dimension = 2\n[time]\ndt = 0.05\n{BOX}actuated = true\n{control}"
+    _, notes = to_trajectories(recorded(messages), parse_map("map", text))
+    assert any("control[0] is in the frame tool0, positions in world" in each for each in notes)
+    assert any("control[0] has gaps of more than 0.5 s" in each for each in notes)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "a.db3").write_bytes(b"SQLite format 3")
+    with pytest.raises(InvalidInputError, match=r"no file that ends in \.mcap, found \.db3"):
+        read_rosbag(tmp_path / "old")
 
 
 @pytest.mark.parametrize(

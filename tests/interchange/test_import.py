@@ -294,7 +294,7 @@ def test_faults_of_a_map(change: tuple[str, str], message: str, tmp_path: Path) 
         ("time,x,y\n0,1,2\n1e300,1,2\n", "rows are 1e+300 s apart, but max_gap is 0.5 s"),
         ("x,y\n,\n", "must have rows of numbers"),
         ("x,y\nnan,1\n", "must have numbers, found none"),
-        ("x,y\n1,2\n", "no step in which all bodies are known"),
+        ("x,y\n1,2\n", "no step of dt = 0.1 s in which all is known"),
         ("Format Version,1.23\n\n", "must have a line of axes that begins with Frame"),
         ("Format Version,1.23,Length Units,Feet\n", "Length Units must be Meters or"),
         ("Format Version,1.23\n\nFrame,Time,X\n0,0,1\n", "must have lines of Name and of"),

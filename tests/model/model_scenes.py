@@ -19,6 +19,7 @@ from contactgraph.model import (
     full_ab,
     gim_non_temp,
     gim_temp,
+    hidden_markov_filter,
     no_gim,
     paper_literal,
     relations,
@@ -35,6 +36,15 @@ def compiled(function: Callable, *arguments):
     return function(*arguments)
 
 
+def assert_same(ours, theirs, **tolerance: float) -> None:
+    """Every leaf equals the other's: within these tolerances, without any of them bit for bit."""
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        if tolerance:
+            np.testing.assert_allclose(one, other, **tolerance)
+        else:
+            np.testing.assert_array_equal(one, other)
+
+
 PRESETS = {
     "gim_temp": gim_temp,
     "gim_non_temp": gim_non_temp,
@@ -42,6 +52,7 @@ PRESETS = {
     "full_ab": full_ab,
     "paper_literal": paper_literal,
     "paper_literal_no_gim": PAPER_PRESETS["paper-literal-no-gim"],
+    "filter": hidden_markov_filter,
     "relations": relations,
 }
 
@@ -126,3 +137,14 @@ _initial_belief = eqx.filter_jit(ContactDynamics.initial_belief)
 
 def state_at(model: ContactDynamics, position, velocity, nodes: Nodes) -> ModelState:
     return ModelState(position, velocity, _initial_belief(model, position, velocity, nodes))
+
+
+def follow(model: ContactDynamics, nodes: Nodes, position, velocity, controls) -> ModelState:
+    """The states after each control. Every number of controls is another program."""
+    return _follow(model, nodes, *map(jnp.asarray, (position, velocity, controls)))
+
+
+@eqx.filter_jit
+def _follow(model: ContactDynamics, nodes: Nodes, position, velocity, controls) -> ModelState:
+    belief = model.initial_belief(position, velocity, nodes)
+    return model.rollout(ModelState(position, velocity, belief), controls, nodes)

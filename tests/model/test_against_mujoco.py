@@ -123,6 +123,25 @@ def test_every_mass_on_its_own_springs_and_dampers(integrator: str, theta: float
         assert min(errors) > 10 * TOLERANCE, "with another theta all three must tell"
 
 
+@jax.jit
+def moved(network: ContactSolver, state: jax.Array, control: jax.Array) -> jax.Array:
+    """Places and speeds of a row of masses after a step; a force pulls at the last one."""
+    pairs = jnp.stack([jnp.arange(N), jnp.arange(N) + 1], axis=1)
+    gain = jnp.zeros(N + 1).at[-1].set(1.0)
+    weight = GRAVITY[0] * network.mass.at[0].set(0.0)[:, None]
+    places, speeds = (jnp.array([0.0, *half])[:, None] for half in (state[:N], state[N:]))
+    seen = geometry(places, speeds, pairs.T, DT, contact_distance=0.01)
+    motion = network.solve(speeds, gain, seen, DT, control_size=1, weight=weight)
+    assert motion.acceleration is not None
+    pulled = motion.acceleration + motion.response @ control
+    speeds = speeds + motion.velocity_change + DT * pulled
+    places = places + DT * speeds
+    return jnp.concatenate([places[1:, 0], speeds[1:, 0]])
+
+
+derivatives = jax.jit(jax.jacfwd(moved, (1, 2)))
+
+
 @ANY
 def test_a_chain_that_is_coupled(integrator: str) -> None:
     """Three masses in a row from a wall on, neighbours joined by springs and dampers."""
@@ -154,23 +173,8 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
         rest_length=jnp.asarray(rest),
         displacing_fraction=jnp.zeros(N),
     )
-    pairs = jnp.stack([jnp.arange(N), jnp.arange(N) + 1], axis=1)
-    gain = jnp.zeros(N + 1).at[-1].set(1.0)
-    weight = GRAVITY[0] * jnp.array([0.0, *mass])[:, None]
-
-    @jax.jit
-    def moved(state: jax.Array, control: jax.Array) -> jax.Array:
-        places, speeds = (jnp.array([0.0, *half])[:, None] for half in (state[:N], state[N:]))
-        seen = geometry(places, speeds, pairs.T, DT, contact_distance=0.01)
-        motion = network.solve(speeds, gain, seen, DT, control_size=1, weight=weight)
-        assert motion.acceleration is not None
-        pulled = motion.acceleration + motion.response @ control
-        speeds = speeds + motion.velocity_change + DT * pulled
-        places = places + DT * speeds
-        return jnp.concatenate([places[1:, 0], speeds[1:, 0]])
-
     state, control = jnp.asarray([*position, *velocity]), jnp.asarray(FORCE[:1])
-    ours_A, ours_B = jax.jit(jax.jacfwd(moved, (0, 1)))(state, control)
+    ours_A, ours_B = derivatives(network, state, control)
     places = np.kron(np.eye(2), np.tril(np.ones((N, N))))  # From distances.
     A, B = linearised(model, data)
     A, B = places @ A @ np.linalg.inv(places), places @ B
@@ -178,4 +182,4 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
     np.testing.assert_allclose(ours_A, A, rtol=0, atol=TOLERANCE)
     np.testing.assert_allclose(ours_B, B, rtol=0, atol=TOLERANCE)
     reached = places @ stepped(model, data)
-    np.testing.assert_allclose(moved(state, control), reached, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(moved(network, state, control), reached, rtol=0, atol=TOLERANCE)

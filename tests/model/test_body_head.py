@@ -1,4 +1,4 @@
-"""Models of bodies as they are: types, servos, static bodies, planes, and their files."""
+"""Models of bodies as they are: types, servos, static bodies, planes, and what data tell."""
 
 import dataclasses
 from functools import cache
@@ -8,20 +8,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import follow, slippery_bodies
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.actuation_fit import ActuationFit
+from contactgraph.data.impact_fit import PLANE, Impacts
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ModelConfig,
     ModelState,
-    Nodes,
     bodies,
-    load_model,
-    save_model,
     scene_nodes,
 )
+from contactgraph.model.body_head import BodyHead
+from contactgraph.model.body_numbers import PACE
+from contactgraph.model.body_starts import told_numbers
 from contactgraph.model.filter import check_fit
 
 DT, STEPS = 0.05, 20
@@ -33,15 +35,9 @@ CONFIG = ModelConfig(
 
 
 @cache
-def model(config: ModelConfig = CONFIG) -> ContactDynamics:
+def model() -> ContactDynamics:
     """Fresh weights, on a ground without friction."""
-
-    def grounds(each: ContactDynamics) -> tuple:
-        head = each.local_dynamics.head
-        return head.damper_raw, head.deceleration_raw
-
-    slippery = [jnp.full(len(config.node_types), -10.0)] * 2
-    return eqx.tree_at(grounds, bodies(config, key=jax.random.key(0)), slippery)
+    return slippery_bodies(CONFIG)
 
 
 def scene(types: tuple[str, ...] = ("hand", "ball", "pillar"), **options) -> Scene:
@@ -49,12 +45,6 @@ def scene(types: tuple[str, ...] = ("hand", "ball", "pillar"), **options) -> Sce
     actuated = np.array([name == "hand" for name in types])
     names = tuple(f"{name}-{index}" for index, name in enumerate(types))
     return Scene(names, types, actuated, DT, static=static, **options)
-
-
-@eqx.filter_jit
-def follow(model: ContactDynamics, nodes: Nodes, position, velocity, controls) -> ModelState:
-    belief = model.initial_belief(position, velocity, nodes)
-    return model.rollout(ModelState(position, velocity, belief), controls, nodes)
 
 
 def test_a_free_servo_follows_its_own_equation() -> None:
@@ -115,7 +105,7 @@ def test_the_ground_slows_what_touches_it_and_nothing_in_the_air() -> None:
 
 
 @eqx.filter_jit
-def lift(model: ContactDynamics, held: bool, hand: jax.Array, target: jax.Array) -> jax.Array:
+def lift(model: ContactDynamics, held: jax.Array, hand: jax.Array, target: jax.Array) -> jax.Array:
     """[2, 2] m: hand and ball, 8 cm below it, after 10 steps towards the target."""
     nodes = scene_nodes(scene(("hand", "ball"), **TABLE))
     types = ContactBelief(jax.nn.one_hot(jnp.where(held, 2, 0), 3)[None])
@@ -134,7 +124,7 @@ def lift(model: ContactDynamics, held: bool, hand: jax.Array, target: jax.Array)
 
 def test_a_servo_hardly_sinks_under_what_it_holds() -> None:
     at = jnp.array([0.0, 0.4])
-    hand, ball = np.asarray(lift(on_rough_ground(), True, at, at))
+    hand, ball = np.asarray(lift(on_rough_ground(), jnp.asarray(True), at, at))
     np.testing.assert_allclose(hand, at, atol=2e-3)
     np.testing.assert_allclose(ball, hand - [0.0, 0.08], atol=2e-3)
 
@@ -143,7 +133,8 @@ def test_a_servo_hardly_sinks_under_what_it_holds() -> None:
 def test_a_body_that_is_held_is_lifted_off_its_plane(held: bool) -> None:
     """A hand above a ball that rests on a plane rises."""
     target = jnp.array([0.4, 0.4])
-    hand, ball = np.asarray(lift(on_rough_ground(), held, jnp.array([0.0, 0.13]), target))
+    start = jnp.array([0.0, 0.13])
+    hand, ball = np.asarray(lift(on_rough_ground(), jnp.asarray(held), start, target))
     if held:
         np.testing.assert_allclose(ball - hand, [0.0, -0.08], atol=0.02)
         assert ball[1] > 0.15
@@ -164,7 +155,7 @@ def test_each_arm_follows_its_own_components() -> None:
     nodes = scene_nodes(scene(("hand", "hand"), control_of=acts))
     start = jnp.array([[0.0, 0.0], [3.0, 0.0]])
     control = jnp.tile(jnp.array([0.5, 0.0, 3.0, 0.5]), (60, 1))
-    found = follow(model.__wrapped__(config), nodes, start, jnp.zeros((2, 2)), control)
+    found = follow(slippery_bodies(config), nodes, start, jnp.zeros((2, 2)), control)
     np.testing.assert_allclose(found.position[-1], [[0.5, 0.0], [3.0, 0.5]], atol=1e-2)
 
 
@@ -178,16 +169,75 @@ def test_types_have_their_own_sizes() -> None:
     np.testing.assert_allclose(found, [0.09, 0.11, 0.1], rtol=1e-5)
 
 
-def test_files_keep_the_names_of_types(tmp_path) -> None:
-    path = tmp_path / "model.safetensors"
-    save_model(path, model())
-    again = load_model(path).model
-    assert again.features.types == TYPES
-    for one, other in zip(jax.tree.leaves(model()), jax.tree.leaves(again), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_a_type_that_the_model_does_not_know_is_an_error() -> None:
     check_fit(model(), scene(), 2, "the data")
     with pytest.raises(InvalidInputError, match=r"puck.*ball, pillar, hand"):
         check_fit(model(), scene(("hand", "puck")), 2, "the data")
+
+
+KINDS = ("ball", "puck", "cue")
+NAMES = (*KINDS, PLANE)
+
+
+def head(impacts: dict[tuple[str, str], Impacts]) -> BodyHead:
+    config = ModelConfig(2, 2, 0.05, 0.1, width=4, node_types=KINDS, impacts=impacts)
+    made = bodies(config, key=jax.random.key(0)).local_dynamics.head
+    assert isinstance(made, BodyHead)
+    return made
+
+
+def sums(raw: np.ndarray, pair: tuple[str, str]) -> float:
+    return PACE * float(sum(np.asarray(raw)[NAMES.index(name)] for name in pair))
+
+
+SEEN = {
+    ("ball", "puck"): Impacts(0.8, 0.3, 0.25),
+    ("ball", PLANE): Impacts(0.5, 0.1, None),
+    ("puck", PLANE): Impacts(0.5, None, None),
+}
+
+
+def test_pairs_start_with_what_they_show() -> None:
+    made = head(SEEN)
+    for pair, each in SEEN.items():
+        bounce = 1.0 / (1.0 + np.exp(3.0 - sums(made.bounce_raw, pair)))
+        assert bounce == pytest.approx(each.bounce, rel=1e-5), pair
+        if each.friction is not None:
+            friction = np.log1p(np.exp(sums(made.friction_raw, pair) - 4.0))
+            assert friction == pytest.approx(each.friction, rel=1e-4), pair
+    ball, puck, cue = np.exp(PACE * np.asarray(made.log_mass))
+    assert ball / puck == pytest.approx(0.25, rel=1e-5)
+    assert cue == pytest.approx(1.0)
+
+
+def test_what_all_types_show_is_not_learned() -> None:
+    slides = {"ball": (1.0, 0.0), "puck": (2.0, 0.0)}
+    met = ("ball", "puck"), ("ball", "cue")
+    impacts = dict.fromkeys(met, Impacts(0.8, 0.3, None))
+    slowing = ("deceleration_raw", "damper_raw")
+    assert told_numbers(slides, impacts, KINDS, np.inf) == (*slowing, "bounce_raw", "friction_raw")
+    quick = slides | {"puck": (2.0, 50.0)}
+    assert told_numbers(quick, impacts, KINDS, 10.0) == ("bounce_raw", "friction_raw")
+    impacts[met[0]] = Impacts(0.8, None, None)
+    assert told_numbers({"ball": (1.0, 0.0)}, impacts, KINDS, np.inf) == ("bounce_raw",)
+    assert told_numbers({}, {met[0]: Impacts(0.8, 0.3, None)}, KINDS, np.inf) == ()
+
+    def laws(head: BodyHead) -> jax.Array:
+        types = jnp.eye(3)
+        each = (*head.laws(types, jnp.array([0]), jnp.array([1])), *head.slowing(types))
+        return jnp.stack([jnp.sum(one) for one in each]) @ jnp.ones(4)
+
+    learned = head({})
+    gradient = eqx.filter_grad(laws)
+    names = (*slowing, "bounce_raw", "friction_raw")
+    kept = head(dict.fromkeys(met, Impacts(0.8, 0.3, None)))
+    assert all(np.any(getattr(gradient(learned), name)) for name in names)
+    assert [np.any(getattr(gradient(kept), name)) for name in names] == [True, True, False, False]
+
+
+def test_a_type_that_is_not_seen_is_like_the_others() -> None:
+    made, fresh = head(SEEN), head({})
+    between_others = sums(made.bounce_raw, ("ball", "puck"))
+    assert sums(made.bounce_raw, ("cue", "cue")) == pytest.approx(between_others, rel=1e-5)
+    assert sums(fresh.bounce_raw, ("cue", "cue")) == 0.0
+    np.testing.assert_array_equal(fresh.log_mass, 0.0)

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import state_at
 
-from contactgraph.data import InvalidInputError, Scene, TrajectoryBatch
+from contactgraph.data import Scene, TrajectoryBatch
 from contactgraph.model import (
     ContactSensor,
     ModelConfig,
@@ -17,9 +18,6 @@ from contactgraph.model import (
     MotionNoise,
     bodies,
     first_masses,
-    load_model,
-    nodes_with_told_masses,
-    save_model,
     scene_nodes,
     told_log_mass,
     with_masses,
@@ -99,7 +97,7 @@ def test_the_step_uses_the_mass(model):
     position = jnp.array([[0.0, 0.0], [0.08, 0.0], [0.0, 0.5]])
     velocity = jnp.array([[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]])
     nodes = scene_nodes(SCENE)
-    state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
+    state = state_at(model, position, velocity, nodes)
 
     @eqx.filter_jit
     def step(masses):
@@ -110,14 +108,11 @@ def test_the_step_uses_the_mass(model):
 
 def test_told_masses_are_in_units_of_the_driven_body(model):
     told = told_log_mass(model, SCENE)
-    nodes = nodes_with_told_masses(model, SCENE, 4)
+    nodes = scene_nodes(SCENE)._replace(log_mass=jnp.asarray(told))
     np.testing.assert_allclose(told, np.log([1.0, 1.7, 0.6]), atol=1e-6)
-    np.testing.assert_allclose(nodes.log_mass, [*told, 0.0], atol=1e-6)
     np.testing.assert_array_equal(first_masses(model, nodes).variance, 0.0)
     alike = bodies(replace(CONFIG, varying_mass=False), key=jax.random.key(0))
-    assert first_masses(alike, nodes) is None
-    with pytest.raises(InvalidInputError, match="told masses need"):
-        nodes_with_told_masses(alike, SCENE, 4)
+    assert first_masses(alike, nodes) is None and told_log_mass(alike, SCENE) is None
 
 
 def test_the_score_is_least_at_the_spread_and_the_mean_of_the_masses(model):
@@ -139,10 +134,3 @@ def test_the_score_is_least_at_the_spread_and_the_mean_of_the_masses(model):
     assert float(slope) == pytest.approx(-2 * 0.6 / spread**2)
     own = jnp.sqrt(jnp.mean(found[1:] ** 2))
     assert float(jax.grad(partial(score, 0.0))(jnp.log(own))) == pytest.approx(0.0, abs=1e-5)
-
-
-def test_a_model_of_varying_masses_is_stored_and_read(model, tmp_path):
-    save_model(tmp_path / "model.safetensors", model)
-    found = load_model(tmp_path / "model.safetensors").model
-    assert found.local_dynamics.head.varying_mass
-    assert eqx.tree_equal(found, model)

@@ -43,8 +43,7 @@ def test_an_edge_by_hand() -> None:
     found = between([0.3, 0.4], [-2.0, 0.0])
     np.testing.assert_allclose(found.distance, [0.5], rtol=1e-6)
     np.testing.assert_allclose(found.direction, [[0.6, 0.8]], rtol=1e-6)
-    np.testing.assert_allclose(found.predicted_distance, [np.hypot(0.2, 0.4)], rtol=1e-6)
-    np.testing.assert_allclose(found.closest_approach, found.predicted_distance)
+    np.testing.assert_allclose(found.closest_approach, [np.hypot(0.2, 0.4)], rtol=1e-6)
     assert found.fraction_after_impact == 0
 
 
@@ -52,7 +51,6 @@ def test_closest_approach_is_the_least_distance_within_the_step() -> None:
     """A body that passes by within the step is farther away at both of its ends."""
     passing = between([0.03, 0.04], [-1.2, 0.0])
     np.testing.assert_allclose(passing.closest_approach, [0.04], rtol=1e-5)
-    np.testing.assert_allclose(passing.predicted_distance, [0.05], rtol=1e-5)
     leaving = between([0.03, 0.04], [1.2, 0.0])
     np.testing.assert_allclose(leaving.closest_approach, leaving.distance)
     pushed = between([0.03, 0.04], [0.0, 0.0], control_displacement=[-0.02, 0.0])
@@ -131,7 +129,6 @@ def scene_quantities(position, velocity, contact_distance, control_displacement=
     guessed = dataclasses.replace(edges, contact_distance=guess)
     return (
         edges.distance,
-        edges.predicted_distance,
         edges.direction,
         edges.fraction_after_impact,
         features.edge(guessed),

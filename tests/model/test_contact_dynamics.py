@@ -1,19 +1,27 @@
-"""The model's step: symmetries, locality, derivatives, stages, and its rollout.
+"""The model's step: symmetries, locality, derivatives, stages, its rollout and sensitivity.
 
 Everything runs in float64 on scenes of four nodes, and all variants of a scene in one compiled,
 vmapped step per model.
 """
 
 import dataclasses
-from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, PRESETS, preset, with_random_weights
+from model_scenes import (
+    DT,
+    PRESETS,
+    assert_same,
+    hinged,
+    nodes_of,
+    preset,
+    state_at,
+    with_random_weights,
+)
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
@@ -24,6 +32,7 @@ from contactgraph.model import (
     CoupledHead,
     DistancePrior,
     InvariantFeatures,
+    LinearDynamics,
     MessagePassing,
     ModelConfig,
     ModelState,
@@ -35,25 +44,30 @@ from contactgraph.model import (
     TypedMessagePassing,
     control_sensitivity,
     correct,
+    two_type_belief,
     with_control_displacement,
 )
 
+pytestmark = pytest.mark.usefixtures("double_precision")
 COUNT = 4
 PAIRS = pair_indices(COUNT)
 HINGE = (0.35, 0.2)
 CASES = [*((name, False) for name in PRESETS), ("gim_temp", True)]
-LOCAL = [("gim_temp", False), ("gim_non_temp", False), ("full_ab", False), ("gim_temp", True)]
-INVARIANT = [("gim_temp", False), ("gim_non_temp", False), ("no_gim", False), ("gim_temp", True)]
+BOTH = [("gim_temp", False), ("gim_non_temp", False), ("filter", False), ("gim_temp", True)]
+LOCAL, INVARIANT = [*BOTH, ("full_ab", False)], [*BOTH, ("no_gim", False)]
 ORDER = np.array([3, 0, 1, 2])
-VARIANTS = ["base", "permuted", "turned", "far", "far_moving", "absent", "absent_elsewhere"]
+VARIANTS = [
+    "base",
+    "permuted",
+    "turned",
+    "far",
+    "far_moving",
+    "absent",
+    "absent_elsewhere",
+    "alone",
+]
 Arrays = dict[str, np.ndarray]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def double_precision() -> Iterator[None]:
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
+assert_close = partial(assert_same, atol=1e-9)
 
 
 @eqx.filter_jit
@@ -101,6 +115,8 @@ def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
         arrays["position"] = arrays["position"] @ turn.T + shift
         arrays["anchor"] = arrays["anchor"] @ turn.T + shift
         arrays["velocity"], control = arrays["velocity"] @ turn.T, turn @ control
+    elif variant == "alone":
+        arrays["mask"][1:] = False
     elif variant != "base":
         arrays["position"][3] = 5.0 if variant == "far" else -9.0
         arrays["velocity"][3] = 0.0 if variant == "far" else 2.0
@@ -110,31 +126,31 @@ def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
     return arrays, control
 
 
-@cache
-def results(name: str, hinges: bool) -> dict[str, list[np.ndarray]]:
-    """Position, velocity and belief after a step of every variant."""
+def after(name: str, hinges: bool, every: Arrays, controls: np.ndarray) -> tuple:
+    """Position, velocity and belief of several scenes after a step."""
     model = preset(name, dimension_of(name, hinges), width=8, hinges=hinges)
     if model.control_size != model.dimension:
         model = dataclasses.replace(model, control_size=model.dimension)
-    all_of = [scene(name, hinges, variant) for variant in VARIANTS]
-    every = {key: jnp.stack([arrays[key] for arrays, _ in all_of]) for key in all_of[0][0]}
     nodes = Nodes(
         actuated=every["actuated"],
         mask=every["mask"],
-        candidate=every["mask"][:, PAIRS].all(axis=-1),
+        candidate=every["mask"][:, pair_indices(every["mask"].shape[1])].all(axis=-1),
         anchor=every["anchor"] if hinges else None,
     )
-    controls = jnp.stack([control for _, control in all_of])
-    found = steps(model, (every["position"], every["velocity"], controls, nodes))
+    scenes = every["position"], every["velocity"], controls, nodes
+    return steps(model, jax.tree.map(jnp.asarray, scenes))
+
+
+@cache
+def results(name: str, hinges: bool) -> dict[str, list[np.ndarray]]:
+    """Position, velocity and belief after a step of every variant."""
+    all_of = [scene(name, hinges, variant) for variant in VARIANTS]
+    every = {key: np.stack([arrays[key] for arrays, _ in all_of]) for key in all_of[0][0]}
+    found = after(name, hinges, every, np.stack([control for _, control in all_of]))
     return {
         variant: [np.asarray(part[index]) for part in found]
         for index, variant in enumerate(VARIANTS)
     }
-
-
-def assert_same(ours, theirs, atol=1e-9) -> None:
-    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
-        np.testing.assert_allclose(one, other, atol=atol)
 
 
 def dense(edges: np.ndarray) -> np.ndarray:
@@ -148,45 +164,46 @@ def dense(edges: np.ndarray) -> np.ndarray:
 def test_the_order_of_the_nodes_does_not_matter(name: str, hinges: bool) -> None:
     position, velocity, belief = results(name, hinges)["base"]
     belief = dense(belief)[ORDER][:, ORDER][PAIRS[:, 0], PAIRS[:, 1]]
-    assert_same(results(name, hinges)["permuted"], [position[ORDER], velocity[ORDER], belief])
+    assert_close(results(name, hinges)["permuted"], [position[ORDER], velocity[ORDER], belief])
     moved = velocity - scene(name, hinges, "base")[0]["velocity"]
     assert np.abs(moved).max() > 1e-2, "the scene must be one in which something happens"
 
 
 @pytest.mark.parametrize(("name", "hinges"), CASES)
 def test_padding_does_not_matter(name: str, hinges: bool) -> None:
-    for one, other in zip(
-        results(name, hinges)["absent"], results(name, hinges)["absent_elsewhere"], strict=True
-    ):
-        np.testing.assert_array_equal(one[:3], other[:3])
+    assert_same(*(first(3, results(name, hinges)[each]) for each in ("absent", "absent_elsewhere")))
 
 
-@pytest.mark.parametrize("name", ["gim_temp", "paper_literal"])
-def test_padding_gives_what_a_smaller_array_gives(name: str) -> None:
-    arrays, control = scene(name, True, "absent")
-    model = preset(name, width=8, hinges=True)
-    nodes = Nodes(
-        jnp.asarray(arrays["actuated"]),
-        jnp.asarray(arrays["mask"]),
-        jnp.asarray(arrays["mask"][PAIRS].all(axis=1)),
-        jnp.asarray(arrays["anchor"]),
-    )
-    small = Nodes(nodes.actuated[:3], nodes.mask[:3], nodes.candidate[:3], nodes.anchor[:3])
-    state = jnp.asarray(arrays["position"]), jnp.asarray(arrays["velocity"]), jnp.asarray(control)
-    padded = steps(model, jax.tree.map(lambda leaf: leaf[None], (*state, nodes)))
-    bare = (state[0][:3], state[1][:3], state[2], small)
-    found = steps(model, jax.tree.map(lambda leaf: leaf[None], bare))
-    assert_same([part[:, :3] for part in padded], list(found))
+def first(count: int, parts: list[np.ndarray]) -> list[np.ndarray]:
+    """Position and velocity of the first bodies, and the belief of the pairs among them."""
+    position, velocity, belief = parts
+    return [position[:count], velocity[:count], belief[: count * (count - 1) // 2]]
+
+
+@pytest.mark.parametrize(
+    ("name", "hinges", "count"),
+    [
+        ("gim_temp", True, 3),
+        ("paper_literal", False, 3),
+        *((name, False, 1) for name in ("gim_temp", "full_ab", "paper_literal")),
+    ],
+)
+def test_padding_gives_what_a_smaller_array_gives(name: str, hinges: bool, count: int) -> None:
+    """Also of a single body, which has no edges."""
+    variant = "absent" if count == 3 else "alone"
+    arrays, control = scene(name, hinges, variant)
+    bare = {key: value[None, :count] for key, value in arrays.items()}
+    found = [np.asarray(part[0]) for part in after(name, hinges, bare, control[None])]
+    assert_close(first(count, results(name, hinges)[variant]), found)
+    assert np.all(np.isfinite(found[0]))
+    assert np.abs(found[1] - arrays["velocity"][:count]).max() > 1e-3
 
 
 @pytest.mark.parametrize(("name", "hinges"), LOCAL)
 def test_a_far_object_changes_no_other_prediction_at_all(name: str, hinges: bool) -> None:
     """Bit for bit, although the whole scene is solved as one."""
     for variant in ("far_moving", "absent"):
-        for one, other in zip(
-            results(name, hinges)["far"], results(name, hinges)[variant], strict=True
-        ):
-            np.testing.assert_array_equal(one[:3], other[:3])
+        assert_same(*(first(3, results(name, hinges)[each]) for each in ("far", variant)))
 
 
 def test_without_a_cutoff_a_far_object_does_change_predictions() -> None:
@@ -200,7 +217,7 @@ def test_without_a_cutoff_a_far_object_does_change_predictions() -> None:
 def test_turned_and_moved_scenes_are_predicted_turned_and_moved(name: str, hinges: bool) -> None:
     position, velocity, belief = results(name, hinges)["base"]
     turn = orthogonal(position.shape[1])
-    assert_same(
+    assert_close(
         results(name, hinges)["turned"], [position @ turn.T + 0.3, velocity @ turn.T, belief]
     )
 
@@ -208,18 +225,6 @@ def test_turned_and_moved_scenes_are_predicted_turned_and_moved(name: str, hinge
 def test_absolute_features_depend_on_position() -> None:
     turned, base = (results("paper_literal", False)[variant][2] for variant in ("turned", "base"))
     assert np.abs(turned - base).max() > 1e-3
-
-
-def nodes_of(count: int, *hinges: tuple[float, float]) -> Nodes:
-    anchor = np.full((count, 2), np.nan)
-    if hinges:
-        anchor[1 : 1 + len(hinges)] = hinges
-    return Nodes(
-        actuated=jnp.arange(count) == 0,
-        mask=jnp.ones(count, bool),
-        candidate=jnp.ones(count * (count - 1) // 2, bool),
-        anchor=jnp.asarray(anchor) if hinges else None,
-    )
 
 
 def random_state(model: ContactDynamics, nodes: Nodes, seed: int = 4) -> ModelState:
@@ -252,7 +257,7 @@ class SoftEdges(eqx.Module):
 
 def test_the_gradient_of_a_step_against_finite_differences() -> None:
     """And it is finite where all nodes coincide, at rest, on their hinge."""
-    nodes = nodes_of(3, HINGE)
+    nodes = hinged(nodes_of(3), HINGE)
     model = preset("gim_temp", width=4, hinges=True)
     model = eqx.tree_at(lambda m: m.sample, model, FixedEdges(jnp.array([1.0, 0.3, 0.6])))
     learned = jax.tree.map(eqx.is_inexact_array, model)
@@ -310,8 +315,6 @@ def test_a_linear_step_uses_the_control_displacement() -> None:
     none, together = pushed(0.0), pushed(0.03)
     assert np.abs(together[1].probability[0] - none[1].probability[0]) > 0.1
     assert np.abs(together[0].B - none[0].B).max() > 1e-3
-    observed = stages(model, dataclasses.replace(state, control_displacement=still), nodes)
-    assert_same((observed.dynamics, observed.belief), none)
 
 
 def test_the_stages_of_a_step_in_their_order() -> None:
@@ -330,16 +333,17 @@ def test_the_stages_of_a_step_in_their_order() -> None:
     known = dataclasses.replace(state, control_displacement=jnp.full((3, 2), 0.01))
     graph, belief, local, dynamics, parameters = separately(known)
     found = stages(model, known, nodes)
-    assert_same((found.graph, found.belief, found.local), (graph, belief, local))
-    assert_same(found.dynamics, dynamics)
-    assert_same(model.local_dynamics.discretization(parameters, DT), dynamics)
+    assert_close((found.graph, found.belief, found.local), (graph, belief, local))
+    assert_close(found.dynamics, dynamics)
+    assert_close(linear_step(model, known, nodes), (dynamics, belief))
+    assert_close(model.local_dynamics.discretization(parameters, DT), dynamics)
     for rate in (parameters.inverse_mass, parameters.stiffness_rate, parameters.damping_rate):
         assert np.all(rate >= 0)
 
 
 def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() -> None:
     model, nodes = preset("gim_temp", width=8), nodes_of(3)
-    state = random_state(model, nodes)
+    state = begin = random_state(model, nodes)
     controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
     found = eqx.filter_jit(ContactDynamics.rollout)(model, state, controls, nodes)
     sensitivity = control_sensitivity(model, state, nodes)
@@ -348,16 +352,9 @@ def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() ->
         linear, belief = linear_step(model, informed, nodes)
         state = ModelState(*linear(state.position, state.velocity, control), belief)
         sensitivity = linear.control_sensitivity
-        assert_same(jax.tree.map(lambda leaf, at=index: leaf[at], found), state)
-    one = eqx.filter_jit(ContactDynamics.step)(model, state, controls[0], nodes)
-    linear, _ = linear_step(
-        model,
-        with_control_displacement(
-            model, state, control_sensitivity(model, state, nodes), controls[0], nodes
-        ),
-        nodes,
-    )
-    assert_same(one.position, linear(state.position, state.velocity, controls[0])[0])
+        assert_close(jax.tree.map(lambda leaf, at=index: leaf[at], found), state)
+    one = eqx.filter_jit(ContactDynamics.step)(model, begin, controls[0], nodes)
+    assert_close(one, jax.tree.map(lambda leaf: leaf[0], found))
 
 
 def test_a_corrected_belief_changes_the_next_one() -> None:
@@ -440,35 +437,9 @@ def test_the_papers_form_gives_the_papers_matrices() -> None:
     )
     B2 = DT / m[..., None] * jnp.eye(2)
     offset2 = k * parameters.equilibrium * DT / m
-    assert_same(linear.A, A)
-    assert_same(linear.B, jnp.stack([0 * B2, B2], -2))
-    assert_same(linear.offset, jnp.stack([0 * m, offset2], -1))
-
-
-@pytest.mark.parametrize("name", ["gim_temp", "full_ab", "paper_literal"])
-def test_a_single_body_without_edges_is_predicted(name: str) -> None:
-    """As the one body of a scene whose other nodes are padding."""
-    model = preset(name, width=8)
-    position, velocity = np.array([[0.3, -0.2]]), np.array([[0.5, 1.0]])
-    controls = jnp.array([[3.0, -2.0]])
-
-    def among(count: int) -> tuple:
-        mask = np.arange(count) == 0
-        nodes = Nodes(
-            jnp.asarray(mask),
-            jnp.asarray(mask),
-            jnp.zeros(count * (count - 1) // 2, bool),
-        )
-        arrays = [
-            jnp.asarray(np.pad(each, ((0, count - 1), (0, 0)))) for each in (position, velocity)
-        ]
-        batch = jax.tree.map(lambda leaf: leaf[None], (*arrays, controls[0], nodes))
-        return steps(model, batch)
-
-    alone, padded = among(1), among(2)
-    assert alone[2].shape == (1, 0, 2)
-    assert_same([part[:, :1] for part in alone[:2]], [part[:, :1] for part in padded[:2]])
-    assert np.all(np.isfinite(alone[0])) and np.abs(alone[1][0, 0] - velocity).max() > 1e-3
+    assert_close(linear.A, A)
+    assert_close(linear.B, jnp.stack([0 * B2, B2], -2))
+    assert_close(linear.offset, jnp.stack([0 * m, offset2], -1))
 
 
 def test_free_matrices_use_every_component_of_the_control() -> None:
@@ -476,3 +447,44 @@ def test_free_matrices_use_every_component_of_the_control() -> None:
         PRESETS["full_ab"], ModelConfig(2, 3, DT, width=8), key=jax.random.PRNGKey(0)
     )
     assert model.control_size == 3 and model.local_dynamics.control_size == 3
+
+
+sensitivity = eqx.filter_jit(control_sensitivity)
+
+
+class Counts(eqx.Module):
+    """1 N moves every node by as many metres as it has candidate edges, and makes it as fast."""
+
+    def linear_step(self, state, nodes):
+        first, second = pair_indices(COUNT).T
+        edges = jnp.zeros(COUNT).at[first].add(nodes.candidate).at[second].add(nodes.candidate)
+        position = edges[:, None, None] * jnp.eye(2)
+        B = jnp.stack([position, 100.0 + position], axis=-2)
+        still = jnp.zeros((COUNT, 2, 2, 2))
+        return LinearDynamics(still, B, still[..., 0]), state.belief
+
+
+def test_only_present_contacts_transmit_the_control() -> None:
+    nodes = nodes_of(3, capacity=COUNT)
+    probability = jnp.array([0.9, 0.4, 0.51, 0.9, 0.9, 0.9])  # The last three: with padding.
+    state = ModelState(jnp.zeros((COUNT, 2)), jnp.ones((COUNT, 2)), two_type_belief(probability))
+    response = control_sensitivity(Counts(), state, nodes)
+    # Pairs in order: 0-1, 0-2, 1-2.
+    np.testing.assert_array_equal(response, jnp.array([1.0, 2, 1, 0])[:, None, None] * jnp.eye(2))
+    # In metres a newton: the row of the positions.
+    linear, _ = Counts().linear_step(state, nodes)
+    np.testing.assert_array_equal(linear.control_sensitivity, linear.B[..., 0, :])
+
+
+def test_a_contact_that_the_control_would_make_does_not_transmit_it() -> None:
+    """Two bodies just out of contact: the model couples them, the force acts on the first."""
+    model, nodes = preset("no_gim"), nodes_of(2)
+    position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
+    state = state_at(model, position, jnp.zeros((2, 2)), nodes)
+    apart = dataclasses.replace(state, belief=two_type_belief(jnp.zeros(1)))
+    held = dataclasses.replace(state, belief=two_type_belief(jnp.ones(1)))
+    alone, together = (sensitivity(model, each, nodes) for each in (apart, held))
+    assert np.any(alone[0] > 0) and np.all(np.abs(together[0]) <= np.abs(alone[0]))
+    linear, _ = linear_step(model, apart, nodes)
+    np.testing.assert_allclose(linear.control_sensitivity, together, rtol=1e-5)
+    assert np.abs(together[0] - alone[0]).max() > 1e-5

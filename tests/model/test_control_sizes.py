@@ -1,7 +1,6 @@
 """Controls of other sizes than the degrees of freedom: none at all, and a switch besides forces."""
 
 import dataclasses
-from collections.abc import Iterator
 from functools import cache
 
 import jax
@@ -14,14 +13,8 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ContactDynamics, LinearDynamics, ModelState
 from contactgraph.model.filter import check_fit
 
+pytestmark = pytest.mark.usefixtures("double_precision")
 CASES = [("gim_temp", True), ("paper_literal", False)]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def double_precision() -> Iterator[None]:
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", False)
 
 
 @cache

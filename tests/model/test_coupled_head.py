@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, jitted_geometry, nodes_of, with_random_weights
+from model_scenes import DT, assert_same, jitted_geometry, nodes_of, with_random_weights
 
 from contactgraph.model import CoupledHead, LinearDynamics, SpringMassDamper, ThetaMethod
 from contactgraph.model.contact_solver import ContactSolver
@@ -130,55 +130,13 @@ def test_a_nodes_own_step_is_stable_and_does_not_overshoot(theta: float) -> None
     assert A[..., 1, 1].min() < 0.7, "the struck ones keep little"
 
 
-def test_an_untouched_node_only_rubs_against_the_ground() -> None:
-    head, (local, message) = random_head(), inputs()
-    local = dataclasses.replace(local, weight=0 * local.weight)
-    found = parameters(head, local, message)
-    network, _ = by_hand(head, local, message, 0.6)
-    assert not np.any(found.stiffness_rate) and not np.any(found.impact_displacement)
-    np.testing.assert_array_equal(found.equilibrium, local.position)
-    # Implicitly: m (v' - v) = -g v'; the force is felt a mass and the ground's damper late.
-    _, still = moved(found, local, [0.0, 0.0])
-    kept = network.mass / (network.mass + network.ground_damper)
-    np.testing.assert_allclose(still, kept[:, None] * local.velocity, rtol=1e-3)
-    gain = (5 * local.node_type @ head.gain_root) ** 2
-    response = linearized(found, 0.6).B[..., 1, :] / DT
-    expected = (gain / (network.mass + network.ground_damper))[:, None, None] * np.eye(2)
-    np.testing.assert_allclose(response, expected, rtol=1e-9)
-
-
 def without_ground(head: CoupledHead) -> CoupledHead:
     return eqx.tree_at(lambda head: head.ground.layers[-1].bias, head, jnp.array([-60.0]))
 
 
-def test_momentum_is_kept_by_the_whole_of_the_scene() -> None:
-    head, (local, message) = without_ground(random_head()), inputs()
-    network, _ = by_hand(head, local, message, 0.6)
-    _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
-    np.testing.assert_allclose(
-        network.mass @ velocity, network.mass @ local.velocity, rtol=1e-4, atol=1e-4
-    )
-
-
-def test_a_grasped_chain_responds_to_the_control_as_one_body() -> None:
-    head, (local, message) = without_ground(random_head()), inputs()
-    # Message 0 is what the networks make of it; a large bias is an edge that holds all it can.
-    head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
-    chain = [(0, 1), (1, 2), (2, 3)]
-    active = np.array([[False, tuple(pair) in chain, False] for pair in PAIRS], float)
-    local = dataclasses.replace(local, weight=jnp.asarray(active))
-    network, _ = by_hand(head, local, message, 0.6)
-    gain = np.sum((5 * local.node_type @ head.gain_root) ** 2)
-    B = linearized(parameters(head, local, message), 0.6).B[..., 1, :]
-    expected = gain / np.sum(network.mass) * np.eye(2)
-    np.testing.assert_allclose(B / DT, np.tile(expected, (NODES, 1, 1)), atol=5e-3 * gain)
-
-
 def test_the_order_of_an_edges_nodes_does_not_matter() -> None:
     head, (local, message) = random_head(), inputs()
-    one, other = (parameters(head, local, way) for way in (message, message[:, ::-1]))
-    for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    assert_same(*(parameters(head, local, way) for way in (message, message[:, ::-1])), rtol=1e-9)
 
 
 def test_a_hinged_body_stays_on_its_circle() -> None:
@@ -207,11 +165,14 @@ def test_a_lone_hinged_body_rotates_about_its_hinge() -> None:
     assert error < angle**3 * np.linalg.norm(local.velocity[1])
 
 
-def touching(velocity) -> tuple[CoupledHead, LocalInput, jax.Array]:
-    """Nodes 0 and 1 touch, along x; the others are elsewhere. All edges hold or touch rigidly."""
+def touching(velocity, gap: float = 0.0) -> tuple[CoupledHead, LocalInput, jax.Array]:
+    """Nodes 0 and 1 touch, along x, or are a ``gap`` [m] from it; the others are elsewhere.
+
+    All edges hold or touch rigidly.
+    """
     head, (local, message) = without_ground(random_head()), inputs()
     head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, -60.0, 0.0]))
-    position = jnp.array([[0.0, 0.0], [0.08, 0.0], [3.0, 0.0], [0.0, 3.0]])
+    position = jnp.array([[0.0, 0.0], [0.08 + gap, 0.0], [3.0, 0.0], [0.0, 3.0]])
     velocity = jnp.zeros((NODES, 2)).at[0].set(jnp.array(velocity))
     geometry = jitted_geometry(position, velocity, jnp.asarray(PAIRS).T, DT, 0.08, None, None)
     weight = jnp.zeros((len(PAIRS), TYPES)).at[0, 0].set(1.0)
@@ -257,12 +218,8 @@ def test_the_sensitivity_to_the_control_is_without_touches() -> None:
 @pytest.mark.parametrize(("speed", "acts"), [(1.0, True), (0.3, False)])
 def test_a_contact_that_is_predicted_too_early_has_no_effect(speed, acts) -> None:
     """Bodies 2 cm apart, which meet in the step at 1 m/s and not at 0.3 m/s."""
-    head, local, message = touching([speed, 0.0])
-    position = local.position.at[1, 0].add(0.02)
-    pairs = jnp.asarray(PAIRS).T
-    geometry = jitted_geometry(position, local.velocity, pairs, DT, 0.08, None, None)
-    weight = local.weight[:, ::-1]  # it holds
-    local = dataclasses.replace(local, position=position, geometry=geometry, weight=weight)
+    head, local, message = touching([speed, 0.0], gap=0.02)
+    local = dataclasses.replace(local, weight=local.weight[:, ::-1])  # it holds
     _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
     assert (abs(float(velocity[1, 0])) > 0.1) == acts
     if not acts:
@@ -272,12 +229,9 @@ def test_a_contact_that_is_predicted_too_early_has_no_effect(speed, acts) -> Non
 @pytest.mark.parametrize(("kind", "has_spring"), [(0, False), (1, False), (2, True)])
 def test_only_soft_bonds_have_springs(kind, has_spring) -> None:
     """At rest, 2 cm farther apart than a contact."""
-    head, local, message = touching([0.0, 0.0])
+    head, local, message = touching([0.0, 0.0], gap=0.02)
     head = eqx.tree_at(lambda head: head.edge.layers[-1].bias, head, jnp.array([60.0, 20.0, 0.0]))
-    position, pairs = local.position.at[1, 0].add(0.02), jnp.asarray(PAIRS).T
-    geometry = jitted_geometry(position, local.velocity, pairs, DT, 0.08, None, None)
-    weight = jnp.roll(local.weight, kind, axis=1)
-    local = dataclasses.replace(local, position=position, geometry=geometry, weight=weight)
+    local = dataclasses.replace(local, weight=jnp.roll(local.weight, kind, axis=1))
     _, velocity = moved(parameters(head, local, message), local, [0.0, 0.0])
     assert (float(jnp.abs(velocity).max()) > 1e-3) == has_spring
     if not has_spring:

@@ -190,21 +190,6 @@ def test_an_edge_networks_message_is_its_edges_own_affair() -> None:
     assert not np.any(half[:, 4]) and np.any(message > 0)
 
 
-def test_edge_networks_stand_in_for_messages_of_any_kind() -> None:
-    key = jax.random.PRNGKey(0)
-    network = EdgeNetwork(EDGE_SIZE, WIDTH, key=key)
-    node, edge, weight = graph()
-    for edges in (RecurrentEdges(network, key=key), MemorylessEdges(network, key=key)):
-        embedding = compiled(edges.embed, node, edge, weight, ENDS)
-        found = np.asarray(compiled(predicted, edges, np.full(EDGES, 0.5), embedding))
-        np.testing.assert_allclose(found.sum(axis=-1), 1, atol=1e-6)
-        assert np.ptp(found[:, 1]) > 1e-3
-    typed = TypedMessagePassing([network, network])
-    _, messages = compiled(typed, node, edge, np.stack([weight, 0 * weight], axis=-1), ENDS)
-    messages = np.asarray(messages)
-    assert np.any(messages[0]) and not np.any(messages[1])
-
-
 PROBABILITY = np.array([[0.7, 0.2, 0.1], [0.05, 0.05, 0.9]], np.float32)
 
 

@@ -55,16 +55,6 @@ def test_a_step_and_the_next_are_one() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def test_the_stacked_step_keeps_leading_axes() -> None:
-    step = random_step(3, 2, 2, lead=(5, 4))
-    for whole, one in zip(
-        stacked_form(step),
-        stacked_form(jax.tree.map(lambda leaf: np.asarray(leaf)[2, 3], step)),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(whole[2, 3], one)
-
-
 def test_stacking() -> None:
     position, velocity = jnp.asarray(np.random.default_rng(0).normal(size=(2, 7, 3, 2)))
     stacked = stack_state(position, velocity)
@@ -105,19 +95,6 @@ def test_a_weightless_control_has_finite_physical_parameters() -> None:
     zero, one = jnp.zeros((1, 2)), jnp.ones((1, 2))
     parameters = SpringMassDamper(own_component(zero, 2), one, one, zero, zero, zero)
     assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
-
-
-@pytest.mark.parametrize("size", [0, 1, 2])
-def test_inverse_masses_are_the_responses_to_the_same_component(size) -> None:
-    inverse_mass = jnp.asarray(np.random.default_rng(0).uniform(1, 5, (4, 3, 2)))
-    response = own_component(inverse_mass, size)
-    assert response.shape == (4, 3, 2, size)
-    parameters = SpringMassDamper(response, *[inverse_mass] * 5)
-    # A component that the control lacks moves nothing.
-    moved = np.arange(2) < size
-    np.testing.assert_array_equal(parameters.inverse_mass, inverse_mass * moved)
-    across = ~np.eye(2, size, dtype=bool)
-    assert not np.any(response[..., across])
 
 
 def test_physical_parameters_come_back() -> None:

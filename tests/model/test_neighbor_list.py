@@ -1,6 +1,7 @@
 """Lists of near pairs: what is in them, and that nothing else matters."""
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, crowd, hinged, nodes_of, preset
+from model_scenes import DT, assert_same, crowd, hinged, nodes_of, preset
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
@@ -139,14 +140,10 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
     assert (listed_edges[0] != listed_edges[-1]).any()
     assert (np.asarray(every.belief.probability) > 0.5).any()
     belief = jax.vmap(lambda one: one.over(None, pairs))(states.belief)
-    close = {"rtol": 1e-9, "atol": 1e-9}
-    np.testing.assert_allclose(states.position, every.position, **close)
-    np.testing.assert_allclose(states.velocity, every.velocity, **close)
-    np.testing.assert_allclose(belief.type_probability, every.belief.type_probability, **close)
-    for found, expected in zip(
-        jax.tree.leaves(near_gradient), jax.tree.leaves(gradient), strict=True
-    ):
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
+    found = states.position, states.velocity, belief.type_probability
+    wanted = every.position, every.velocity, every.belief.type_probability
+    assert_same(found, wanted, rtol=1e-9, atol=1e-9)
+    assert_same(near_gradient, gradient, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -228,29 +225,26 @@ def test_measured_contacts_are_those_of_all_pairs() -> None:
     np.testing.assert_array_equal(near.edge_id, edge)
 
 
-def test_a_model_without_cutoff_has_no_neighbor_list() -> None:
-    with pytest.raises(InvalidInputError, match=r"need a SmoothCutoff.*found NoCutoff"):
-        dataclasses.replace(
-            preset("no_gim"), neighbor_list=NeighborList(max_edges=1, cell_capacity=1)
-        )
+def near_pairs(name: str, max_edges: int = 9, cell_capacity: int = 9) -> ContactDynamics:
+    lists = NeighborList(max_edges=max_edges, cell_capacity=cell_capacity)
+    return dataclasses.replace(preset(name), neighbor_list=lists)
 
 
-def test_sizes_are_at_least_one() -> None:
-    with pytest.raises(InvalidInputError, match="cell_capacity must be at least 1, found 0"):
-        NeighborList(max_edges=4, cell_capacity=0)
-
-
-def test_contact_from_motion_needs_all_pairs() -> None:
-    near = dataclasses.replace(
-        preset("gim_temp"), neighbor_list=NeighborList(max_edges=9, cell_capacity=9)
-    )
-    with pytest.raises(InvalidInputError, match="must have no neighbor list"):
-        check_motion_model(near)
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: near_pairs("no_gim"), r"need a SmoothCutoff.*found NoCutoff"),
+        (lambda: near_pairs("gim_temp", 4, 0), "cell_capacity must be at least 1, found 0"),
+        (lambda: check_motion_model(near_pairs("gim_temp")), "must have no neighbor list"),
+    ],
+)
+def test_where_lists_cannot_be_they_are_refused(wrong: Callable[[], object], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        wrong()
 
 
 def test_a_model_file_has_no_neighbor_list(tmp_path: Path) -> None:
-    model = preset("gim_temp")
-    near = dataclasses.replace(model, neighbor_list=NeighborList(max_edges=5000, cell_capacity=9))
+    model, near = preset("gim_temp"), near_pairs("gim_temp", max_edges=5000)
     listed, every = tmp_path / "listed.safetensors", tmp_path / "every.safetensors"
     save_model(listed, near)
     save_model(every, model)
@@ -260,8 +254,7 @@ def test_a_model_file_has_no_neighbor_list(tmp_path: Path) -> None:
 
 def test_a_step_takes_beliefs_of_all_pairs_too() -> None:
     nodes = nodes_of(6)
-    model = preset("gim_temp")
-    near = dataclasses.replace(model, neighbor_list=NeighborList(max_edges=20, cell_capacity=6))
+    model, near = preset("gim_temp"), near_pairs("gim_temp", 20, 6)
     state = crowd(model, nodes)
     linear, belief = eqx.filter_jit(near.linear_step)(state, nodes)
     expected, every = eqx.filter_jit(model.linear_step)(state, nodes)

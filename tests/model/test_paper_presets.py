@@ -1,4 +1,4 @@
-"""The paper's forms: what each has, and what its options change."""
+"""The paper's forms: what each has, what its options change, and its head."""
 
 import dataclasses
 
@@ -7,10 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, nodes_of, state_at, with_random_weights
+from model_scenes import DT, jitted_geometry, nodes_of, state_at, with_random_weights
 
-from contactgraph.model import PAPER_PRESETS, ContactDynamics, ModelConfig
+from contactgraph.data.graph import pair_indices
+from contactgraph.model import (
+    PAPER_PRESETS,
+    ContactDynamics,
+    ModelConfig,
+    PerDegreeHead,
+    SpringMassDamper,
+)
 from contactgraph.model.local_dynamics import FreeLinearDynamics
+from contactgraph.model.types import LocalInput, Step
 
 CONFIG = ModelConfig(2, 2, DT, 0.1, width=8)
 NODES = nodes_of(3)
@@ -70,3 +78,59 @@ def test_edges_may_be_drawn_in_training() -> None:
     for model, share in ((drawn, 0.6 / 1.1), (likeliest, 1.0)):
         active = model.sample(even / 1.1, jax.random.key(1))[:, 1]
         assert float(jnp.mean(active)) == pytest.approx(share, abs=0.05)
+
+
+WIDTH, COUNT = 6, 3
+STEP = Step(jnp.zeros(()), DT, 2)
+
+
+@eqx.filter_jit
+def parameters_of(*arguments) -> SpringMassDamper:
+    return PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))(*arguments, STEP)
+
+
+def graph_of_three() -> tuple[LocalInput, jax.Array, jax.Array]:
+    rng = np.random.default_rng(0)
+
+    def normal(*shape: int) -> jax.Array:
+        return jnp.asarray(rng.normal(size=shape).astype(np.float32))
+
+    position, velocity = normal(COUNT, 2), normal(COUNT, 2)
+    pairs = jnp.asarray(pair_indices(COUNT))
+    local = LocalInput(
+        position=position,
+        velocity=velocity,
+        node_type=jnp.zeros((COUNT, 2)),
+        actuated=jnp.zeros(COUNT),
+        node_features=jnp.zeros((COUNT, 0)),
+        edge_features=jnp.zeros((2, len(pairs), 0)),
+        weight=jnp.ones((len(pairs), 1)),
+        geometry=jitted_geometry(position, velocity, pairs.T, DT, 0.1),
+        anchor=None,
+        nodes=nodes_of(COUNT),
+        control_displacement=None,
+    )
+    return local, normal(COUNT, WIDTH), normal(1, 2, len(pairs), WIDTH)
+
+
+def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
+    local, embedding, message = graph_of_three()
+    found = parameters_of(local, embedding, message)
+    for rate in (found.inverse_mass, found.stiffness_rate, found.damping_rate):
+        assert rate.shape == (COUNT, 2)
+        assert np.all((rate > 0) & (rate < 5))
+    assert not np.any(found.equilibrium_velocity) and not np.any(found.impact_displacement)
+    off_diagonal = found.response * (1 - jnp.eye(2))
+    assert not np.any(off_diagonal), "each degree of freedom takes its own control"
+
+
+def test_the_equilibrium_is_relative_to_the_hinge_if_any() -> None:
+    local, embedding, message = graph_of_three()
+    free = parameters_of(local, embedding, message)
+    hinge = jnp.array([2.0, -1.0])
+    anchor = jnp.full((COUNT, 2), jnp.nan).at[1].set(hinge)
+    hung = parameters_of(dataclasses.replace(local, anchor=anchor), embedding, message)
+    moved = hung.equilibrium - free.equilibrium
+    np.testing.assert_allclose(moved[1], hinge - local.position[1], atol=1e-6)
+    np.testing.assert_array_equal(moved[jnp.array([0, 2])], 0.0)
+    assert np.all(np.isfinite(hung.equilibrium))

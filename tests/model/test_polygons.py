@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import shapely
-from model_scenes import slippery_bodies
+from model_scenes import follow, slippery_bodies
 
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.outlines import signed_area
@@ -33,6 +33,8 @@ TRIANGLE = (np.array([[-0.04, -0.03], [0.05, -0.02], [0.0, 0.06]]),)
 DOMINO = (np.array([[-0.01, -0.05], [0.01, -0.05], [0.01, 0.05], [-0.01, 0.05]]),)
 SHAPES = {"domino": DOMINO, "t": T, "box": BOX, "triangle": TRIANGLE, "disc": ()}
 EDGE = jnp.array([[0], [1]])
+COUNT = 2500
+"""Of pairs of bodies, for all of which one program is compiled."""
 
 
 def scene(kinds: tuple[str, ...], **options) -> Scene:
@@ -67,11 +69,11 @@ def nearest(shapes, position, angle):
     return contact_points(placed(shapes, coordinates, 1.0), EDGE, LENGTH)
 
 
-def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def drawn(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    second = rng.uniform(-0.2, 0.2, (count, 2))
-    position = np.stack([rng.uniform(-0.01, 0.01, (count, 2)), second], axis=1)
-    return position, rng.uniform(-np.pi, np.pi, (count, 2))
+    second = rng.uniform(-0.2, 0.2, (COUNT, 2))
+    position = np.stack([rng.uniform(-0.01, 0.01, (COUNT, 2)), second], axis=1)
+    return position, rng.uniform(-np.pi, np.pi, (COUNT, 2))
 
 
 def as_shapely(kind: str, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -87,7 +89,7 @@ def as_shapely(kind: str, position: np.ndarray, angle: np.ndarray) -> np.ndarray
 
 @pytest.mark.parametrize("kinds", [("t", "box"), ("t", "t"), ("triangle", "disc"), ("t", "disc")])
 def test_gaps_and_points_are_those_of_a_geometry_library(kinds: tuple[str, str]) -> None:
-    position, angle = drawn(2500)
+    position, angle = drawn()
     found = nearest(outlines(*kinds), position, angle)
     one, other = (as_shapely(kind, position[:, i], angle[:, i]) for i, kind in enumerate(kinds))
     gap = np.asarray(found.gap)[:, 0, 0]
@@ -108,15 +110,15 @@ def test_gaps_and_points_are_those_of_a_geometry_library(kinds: tuple[str, str])
 
 
 def test_a_box_on_a_box_has_two_points_of_contact() -> None:
-    position = np.array([[[0.0, 0.0], [0.01, 0.0601]]])
-    found = nearest(outlines("box", "box"), position, np.zeros((1, 2)))
+    position = np.tile([[0.0, 0.0], [0.01, 0.0601]], (COUNT, 1, 1))
+    found = nearest(outlines("box", "box"), position, np.zeros((COUNT, 2)))
     np.testing.assert_allclose(found.gap[0, 0], 1e-4, atol=1e-9)
     np.testing.assert_allclose(found.normal[0, 0], [[0.0, 1.0]] * 2, atol=1e-9)
     np.testing.assert_allclose(sorted(found.on_first[0, 0, :, 0]), [-0.04, 0.05], atol=1e-9)
 
 
 def test_the_gap_changes_as_its_gradient_says() -> None:
-    position, angle = drawn(3000, seed=1)
+    position, angle = drawn(seed=1)
     shapes = outlines("t", "box")
 
     def total(position, angle):
@@ -137,7 +139,7 @@ def test_the_gap_changes_as_its_gradient_says() -> None:
 
 
 def test_padding_of_outlines_changes_nothing() -> None:
-    position, angle = drawn(200, seed=3)
+    position, angle = drawn(seed=3)
     two = outlines("box", "triangle")
     one = np.asarray(pad_nodes(scene(("box", "triangle")), 2).outlines)
     assert one.shape != two.shape
@@ -197,13 +199,24 @@ def model(identified: bool = False) -> ContactDynamics:
     return slippery_bodies(replace(CONFIG, identified=identified))
 
 
+def followed(model: ContactDynamics, nodes, start) -> ModelState:
+    """60 steps, the same program for all that is looked at."""
+    return follow(model, nodes, *start, np.zeros((60, 0)))
+
+
 @eqx.filter_jit
-def follow(model: ContactDynamics, nodes, position, velocity, steps: int) -> ModelState:
-    belief = model.initial_belief(position, velocity, nodes)
-    return model.rollout(ModelState(position, velocity, belief), jnp.zeros((steps, 0)), nodes)
+def touching(model: ContactDynamics, nodes, start, types, steps: int) -> tuple:
+    """Position and velocity after steps in which contacts are of these types."""
+
+    def step(at: tuple, _: None) -> tuple:
+        graph = model.encode(*at, nodes)
+        linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+        return linear(*at, jnp.zeros(0)), None
+
+    return jax.lax.scan(step, tuple(map(jnp.asarray, start)), length=steps)[0]
 
 
-def fallen(angle: float, speed: float, steps: int = 60) -> tuple[np.ndarray, np.ndarray]:
+def fallen(angle: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates and their rates of a box that stands on a corner of a floor at ``angle``."""
     nodes = scene_nodes(scene(("box", "box"), gravity=GRAVITY, planes=FLOOR))
     heights = [-np.asarray(turned(BOX[0], each))[:, 1].min() for each in (angle, 0.0)]
@@ -211,7 +224,7 @@ def fallen(angle: float, speed: float, steps: int = 60) -> tuple[np.ndarray, np.
     still = np.array([[speed, 0.0], [0.0, 0.0]])
     turn, rate = np.array([[angle], [0.0]]), np.zeros((2, 1))
     start = generalized_coordinates(TURN_LENGTH, position, still, turn, rate)
-    found = follow(model(), nodes, *map(jnp.asarray, start), steps)
+    found = followed(model(), nodes, start)
     return np.asarray(found.position), np.asarray(found.velocity)
 
 
@@ -237,18 +250,9 @@ def test_a_stack_that_touches_stays_where_it_is() -> None:
     """Three boxes of which geometry alone cannot tell that weight presses them together."""
     nodes = scene_nodes(scene(("box",) * 3, gravity=GRAVITY, planes=FLOOR))
     types = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    start = jnp.array([[0.0, 0.03, 0.0], [0.02, 0.09, 0.0], [-0.01, 0.15, 0.0]])
-
-    @eqx.filter_jit
-    def after(model: ContactDynamics) -> tuple:
-        def step(at: tuple, _: None) -> tuple:
-            graph = model.encode(*at, nodes)
-            linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-            return linear(*at, jnp.zeros(0)), None
-
-        return jax.lax.scan(step, (start, jnp.zeros_like(start)), length=10)[0]
-
-    position, velocity = after(model())  # of which contacts are soft, untrained as it is
+    start = np.array([[0.0, 0.03, 0.0], [0.02, 0.09, 0.0], [-0.01, 0.15, 0.0]])
+    # Contacts are soft, untrained as they are.
+    position, velocity = touching(model(), nodes, (start, np.zeros_like(start)), types, 10)
     np.testing.assert_allclose(position, start, atol=6e-4)
     np.testing.assert_allclose(velocity, 0.0, atol=4e-3)
 
@@ -263,33 +267,23 @@ def test_a_standing_box_that_is_struck_above_its_middle_tips_over(apart: float) 
     still = np.zeros((3, 1))
     start = generalized_coordinates(TURN_LENGTH, position, velocity, still, still)
     touch = jnp.broadcast_to(jnp.array([0.0, 1.0, 0.0]), (3, 3))
-
-    @eqx.filter_jit
-    def after(model: ContactDynamics) -> tuple:
-        def step(at: tuple, _: None) -> tuple:
-            graph = model.encode(*at, nodes)
-            return model.linearize(model.cut_edges(graph, ContactBelief(touch)))(
-                *at, jnp.zeros(0)
-            ), None
-
-        return jax.lax.scan(step, tuple(map(jnp.asarray, start)), length=5)[0]
-
-    found, _ = after(replace(model(True), substeps=4))
+    found, _ = touching(replace(model(True), substeps=4), nodes, start, touch, 5)
     turn = np.asarray(found)[:, 2] / TURN_LENGTH
     corner = np.asarray(found)[1, :2] + np.asarray(turned(jnp.array([0.01, -0.05]), turn[1]))
     assert turn[1] < -0.15 and abs(corner[1]) < 2e-3 and abs(turn[2]) < 1e-3
 
 
 def test_a_step_in_parts_is_as_many_small_steps() -> None:
-    """A box that spins lands on a floor; the other is far."""
-    nodes = scene_nodes(scene(("box", "box"), gravity=GRAVITY, planes=FLOOR))
-    position, velocity = np.array([[[0.0, 0.07], [1.0, 0.03]], [[0.5, -1.0], [0.0, 0.0]]])
-    turn, rate = np.array([[0.3], [0.0]]), np.array([[12.0], [0.0]])
+    """A box that spins lands on a floor."""
+    nodes = scene_nodes(scene(("box",), gravity=GRAVITY, planes=FLOOR))
+    position, velocity = np.array([[[0.0, 0.07]], [[0.5, -1.0]]])
+    turn, rate = np.array([[0.3]]), np.array([[12.0]])
     start = generalized_coordinates(TURN_LENGTH, position, velocity, turn, rate)
 
     def moved(steps: int, **options) -> np.ndarray:
-        found = follow(replace(model(), **options), nodes, *map(jnp.asarray, start), 12 * steps)
-        return np.concatenate([found.position, found.velocity], axis=-1)[steps - 1 :: steps]
+        found = followed(replace(model(), **options), nodes, start)
+        states = np.concatenate([found.position, found.velocity], axis=-1)
+        return states[steps - 1 : 12 * steps : steps]
 
     parts = moved(1, substeps=4)
     np.testing.assert_allclose(parts, moved(4, dt=DT / 4), atol=1e-9)
@@ -308,7 +302,7 @@ def test_a_turned_scene_moves_as_the_scene_does() -> None:
 
     def moved(position, velocity, angles) -> np.ndarray:
         start = generalized_coordinates(TURN_LENGTH, position, velocity, angles, rates)
-        return np.asarray(follow(model(), nodes, *map(jnp.asarray, start), 20).position)
+        return np.asarray(followed(model(), nodes, start).position[:20])
 
     plain = moved(position, velocity, angles)
     other = moved(position @ turn.T + shift, velocity @ turn.T, angles + angle)

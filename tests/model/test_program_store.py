@@ -71,9 +71,12 @@ def test_a_new_function_reads_the_program(folder: Path, static: Any) -> None:
     np.testing.assert_array_equal(read.upper, [4.0, 4.0])
 
 
-@pytest.mark.parametrize(
-    ("static", "carry", "x"),
-    [
+def test_what_differs_is_another_program(folder: Path) -> None:
+    different = [
+        ((1, "a"), LIMITS, jnp.ones(3)),
+        ((1, np.zeros(2)), LIMITS, jnp.ones(3)),
+        ((1, jax.nn.relu), LIMITS, jnp.ones(3)),
+        ((1, "a"), LIMITS, jnp.float32(2.0)),
         ((2, "a"), LIMITS, jnp.ones(3)),
         ((True, "a"), LIMITS, jnp.ones(3)),
         ([1, "a"], LIMITS, jnp.ones(3)),
@@ -83,15 +86,11 @@ def test_a_new_function_reads_the_program(folder: Path, static: Any) -> None:
         ((1, "a"), LIMITS, jnp.ones(3, jnp.int32)),
         ((1, "a"), LIMITS, 2.0),
         ((1, "a"), (LIMITS.lower, LIMITS.upper), jnp.ones(3)),
-    ],
-)
-def test_what_differs_is_another_program(folder: Path, static: Any, carry: Any, x: Any) -> None:
-    for other in ((1, "a"), (1, np.zeros(2)), (1, jax.nn.relu)):
-        program(other)[0](LIMITS, jnp.ones(3))
-    program()[0](LIMITS, jnp.float32(2.0))
-    another, traces = program(static)
-    another(carry, x)
-    assert len(traces) == 1 and len(files(folder)) == 5
+    ]
+    for count, (static, carry, x) in enumerate(different, start=1):
+        another, traces = program(static)
+        another(carry, x)
+        assert (len(traces), len(files(folder))) == (1, count), (static, x)
 
 
 @pytest.mark.parametrize(
@@ -187,39 +186,29 @@ def test_few_states_of_the_source_remain(folder: Path) -> None:
     assert len(list((folder / "traced").iterdir())) == 4 and len(files(folder)) == 1
 
 
-@pytest.mark.parametrize("setting", [None, "gs://bucket"])
-def test_without_a_folder_nothing_is_kept(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, setting: str | None
+def without_the_writer(*_: Any) -> None:
+    raise ImportError("Please install 'flatbuffers'")
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda folder, patch: jax.config.update("jax_compilation_cache_dir", None),
+        lambda folder, patch: jax.config.update("jax_compilation_cache_dir", "gs://bucket"),
+        lambda folder, patch: (folder / "traced").write_text("a file"),
+        lambda folder, patch: patch.setattr(program_store, "_RELEASES", ("0.9.",)),
+        lambda folder, patch: patch.setattr(jax.export.Exported, "serialize", without_the_writer),
+    ],
+    ids=["no folder", "another machine's", "not writable", "unknown release", "no writer"],
+)
+def test_where_nothing_can_be_kept_programs_are_traced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, spoil: Callable[[Path, pytest.MonkeyPatch], Any]
 ) -> None:
     monkeypatch.chdir(folder)
-    jax.config.update("jax_compilation_cache_dir", setting)
+    spoil(folder, monkeypatch)
     step, traces = program()
-    step(LIMITS, jnp.ones(3))
-    assert traces and not list(folder.iterdir())
-
-
-def test_with_a_release_that_is_not_known_nothing_is_kept(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert program_store._folder() is not None
-    monkeypatch.setattr(program_store, "_RELEASES", ("0.9.",))
-    assert program_store._folder() is None
-
-
-def test_a_folder_that_cannot_be_written_to_is_no_fault(folder: Path) -> None:
-    (folder / "traced").write_text("a file")
-    np.testing.assert_array_equal(program()[0](LIMITS, jnp.ones(3)).upper, [4.0, 4.0])
-
-
-def test_without_the_writer_of_programs_nothing_is_kept(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(*_: Any) -> None:
-        raise ImportError("Please install 'flatbuffers'")
-
-    monkeypatch.setattr(jax.export.Exported, "serialize", missing)
-    np.testing.assert_array_equal(program()[0](LIMITS, jnp.ones(3)).upper, [4.0, 4.0])
-    assert not files(folder)
+    np.testing.assert_array_equal(step(LIMITS, jnp.ones(3)).upper, [4.0, 4.0])
+    assert traces and not files(folder) and not (folder / "gs:").exists()
 
 
 def test_a_check_that_passed_is_not_made_again(folder: Path) -> None:

@@ -17,8 +17,6 @@ from contactgraph.model import (
     ModelState,
     Nodes,
     gim_temp,
-    load_model,
-    save_model,
 )
 from contactgraph.model.contact_solver import lifted_fraction
 
@@ -119,20 +117,9 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     assert not np.array_equal(jitted_fraction(actuated, hold, edges, 2), share)
 
 
-def test_a_model_with_weight_is_stored_and_loaded(tmp_path) -> None:
-    model = model_with_weight()
-    save_model(tmp_path / "model.safetensors", model)
-    again = load_model(tmp_path / "model.safetensors").model
-    assert np.array_equal(
-        again.local_dynamics.head.support.weight_root, model.local_dynamics.head.support.weight_root
-    )
-
-
-def test_a_given_contact_distance_is_not_a_model_weight(tmp_path) -> None:
+def test_a_given_contact_distance_is_not_a_model_weight() -> None:
     model = gim_temp(
         ModelConfig(3, 3, DT, 0.02, learned_contact_distance=False), key=jax.random.PRNGKey(0)
     )
     assert model.features.contact_distance == 0.02
     assert not eqx.is_array(model.features.contact_distance)
-    save_model(tmp_path / "model.safetensors", model)
-    assert load_model(tmp_path / "model.safetensors").model.features.contact_distance == 0.02

@@ -106,14 +106,6 @@ def test_zero_is_the_papers_step_exactly():
     np.testing.assert_array_equal(found.offset, jnp.stack([zero, w * k * DT * rest], -1))
 
 
-def test_each_degree_of_freedom_takes_its_own_control():
-    ones = jnp.ones((3, 2))
-    B = ThetaMethod()(from_physical(ones, ones, ones, ones), DT).B
-    assert B.shape == (3, 2, 2, 2)
-    assert np.all(B[:, 0, :, 0] > 0) and np.all(B[:, 1, :, 1] > 0)
-    assert np.all(B[:, 0, :, 1] == 0) and np.all(B[:, 1, :, 0] == 0)
-
-
 def exact(time: float, mass=2.0, stiffness=3.0, damping=0.7, rest=0.4, force=1.5) -> np.ndarray:
     """State at `time` of a spring-mass-damper that starts at 0.3 m and -0.2 m/s."""
     generator = np.zeros((3, 3))

@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, compiled, with_random_weights
+from model_scenes import DT, compiled, nodes_of, with_random_weights
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -21,7 +20,6 @@ from contactgraph.model import (
     ModelConfig,
     ModelState,
     NeighborList,
-    Nodes,
     TransitionEdges,
     correct,
     hidden_markov_filter,
@@ -250,14 +248,13 @@ def fresh(edge_types: int = 3) -> ContactDynamics:
     return hidden_markov_filter(config, key=jax.random.PRNGKey(0))
 
 
-@pytest.mark.parametrize(("types", "coupling"), [(2, [1]), (3, [1, 1]), (5, [1, 1, 2 / 3, 1 / 3])])
+@pytest.mark.parametrize(("types", "coupling"), [(2, [1]), (5, [1, 1, 2 / 3, 1 / 3])])
 def test_types_that_hold_start_apart(types, coupling) -> None:
     """The coupling of a lone pair, by the share of its relative velocity that a step takes."""
     model = fresh(types)
     position = jnp.array([[0.0, 0.0], [0.08, 0.0]])
     velocity = jnp.array([[0.1, 0.0], [-0.1, 0.0]])
-    one = np.ones(2, bool)
-    nodes = jax.tree.map(jnp.asarray, Nodes(np.zeros(2, bool), one, one[:1]))
+    nodes = nodes_of(2)._replace(actuated=jnp.zeros(2, bool))
 
     @eqx.filter_jit
     def coupled(model: ContactDynamics, types: jax.Array) -> jax.Array:
@@ -284,16 +281,13 @@ def model_and_state():
     model = with_random_weights(fresh)
     rng = np.random.default_rng(3)
     position, velocity = (scale * jnp.asarray(rng.normal(size=(5, 2))) for scale in (0.12, 0.3))
-    nodes = Nodes(np.arange(5) == 0, np.ones(5, bool), np.ones(10, bool))
-    return model, position, velocity, jax.tree.map(jnp.asarray, nodes)
+    return model, position, velocity, nodes_of(5)
 
 
 def test_a_filter_knows_whether_bodies_approach_at_all() -> None:
     """From the fifth of its inputs, whatever the speed of both together."""
     model = fresh()
-    distance = float(model.features.contact_distance)
-    one = np.ones(2, bool)
-    nodes = jax.tree.map(jnp.asarray, Nodes(one & [True, False], one, one[:1]))
+    distance, nodes = float(model.features.contact_distance), nodes_of(2)
     sees = jnp.zeros((8, 4 + 1 + 2)).at[:, 4].set(jnp.linspace(-2.0, 2.0, 8))
     model = eqx.tree_at(
         lambda each: each.inference.message_passing.network.layers[0].weight, model, sees
@@ -334,25 +328,6 @@ def test_a_list_of_pairs_changes_no_prediction() -> None:
         np.testing.assert_allclose(one, other, atol=1e-9)
     clocks = np.abs(np.asarray(every[2])).max(axis=1)
     assert np.any(clocks == 0.0) and np.any(clocks > 0.0), "pairs beyond the cutoff have no clock"
-
-
-def test_the_order_of_nodes_does_not_matter() -> None:
-    model, position, velocity, nodes = model_and_state()
-    order = np.array([2, 0, 4, 1, 3])
-    shuffled = nodes._replace(actuated=nodes.actuated[order])
-
-    def stepped(position, velocity, nodes):
-        state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        after = model.step(state, jnp.array([1.0, -2.0]), nodes)
-        return after.position, after.velocity, after.belief.holding
-
-    one = compiled(stepped, position, velocity, nodes)
-    other = compiled(stepped, position[order], velocity[order], shuffled)
-    np.testing.assert_allclose(one[0][order], other[0], atol=1e-9)
-    np.testing.assert_allclose(one[1][order], other[1], atol=1e-9)
-    pairs = [tuple(sorted(order[pair])) for pair in pair_indices(5)]
-    row = [list(map(tuple, pair_indices(5))).index(pair) for pair in pairs]
-    np.testing.assert_allclose(one[2][np.array(row)], other[2], atol=1e-9)
 
 
 @pytest.mark.parametrize("inference", [None, PriorEdges(3, 2)])

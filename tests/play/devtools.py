@@ -1,6 +1,5 @@
 """A headless Chromium, driven by its DevTools protocol over a WebSocket."""
 
-import base64
 import itertools
 import json
 import shutil
@@ -9,7 +8,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
@@ -62,12 +60,10 @@ class Browser:
         elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
             self.complaints.append(str(event["entry"]))
 
-    def open(self, url: str, width: int = 1200, height: int = 1000, scheme: str = "light") -> None:
+    def open(self, url: str, width: int = 1200, height: int = 1000) -> None:
         """Shows a page in a window of this size."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        scheme_feature = [{"name": "prefers-color-scheme", "value": scheme}]
-        self.call("Emulation.setEmulatedMedia", features=scheme_feature)
         self.value("window.left = true")
         self.call("Page.navigate", url=url)
         self.until("!window.left && document.readyState === 'complete'")
@@ -124,10 +120,6 @@ class Browser:
             time.sleep(0.02)
         meanwhile()
         self.mouse("mouseReleased", end)
-
-    def picture(self, path: Path) -> None:
-        """Writes a screenshot."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
 
 
 @contextmanager

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import PickupExpert, PickupTask, SuctionTask
+from contactgraph.envs import PickupTask, SuctionTask
 from contactgraph.envs.contract import DisturbableTask
-from contactgraph.evaluate import Episode, run_episode
+from contactgraph.evaluate import Episode
 from contactgraph.play.stage import HandPolicy
 from contactgraph_franka.envs.franka_task import FrankaTask
 
@@ -74,19 +74,6 @@ def test_a_goal_that_is_no_place_is_refused(goal):
     task.reset(seed=0)
     with pytest.raises(InvalidInputError, match="goal must be finite"):
         task.move_goal(goal)
-
-
-def test_an_episode_step_by_step_is_that_of_run_episode():
-    whole = run_episode(PickupTask(2), PickupExpert(), 4)
-    episode = Episode(PickupTask(2), PickupExpert(), 4)
-    for _ in range(50):
-        assert not episode.over
-        episode.step()
-    part = episode.trajectory()
-    assert part.steps == episode.steps == 50
-    for name in ("position", "velocity", "contact"):
-        assert np.array_equal(getattr(part, name), getattr(whole, name)[:51])
-    assert np.array_equal(part.control, whole.control[:50])
 
 
 class Resting:

@@ -196,10 +196,9 @@ def test_finished_episodes_are_a_dataset(served, page):
 def test_another_task_is_compiled_while_this_one_goes_on(page):
     number, step = page.scene["number"], 0
     page.wish("stage", model="door", task="door", distractors=0)
-    while (found := page.message())["type"] != "scene":
+    while (found := page.message()).get("task") != "door":
         step = max(step, found.get("step", 0))
-        assert found["scene"] >= number
-    assert found["task"] == "door"
+        assert found.get("scene", number) >= number
     assert step > 20, "the old one went on"
     page.until(lambda found: found.get("scene") == page.scene["number"] and "step" in found)
     page.wish("stage", model="pickup", task="pickup", distractors=0)

@@ -1,4 +1,4 @@
-"""A worker for tests: answers as the real one, and writes its arguments to its output.
+"""Work for tests: a worker that writes its arguments to its output, an executor without processes.
 
 ``make OUT WORDS…`` writes WORDS to OUT; ``both OUT`` writes OUT and OUT.more; ``join OUT IN…``
 writes the contents of the files IN; ``fail OUT`` exits with 2 and a message; ``die OUT`` ends the
@@ -8,10 +8,13 @@ file go.txt after it has written its process id and its parent's to begun.txt.
 
 import os
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+from contactgraph.parallel import Outcome, Pool
 from contactgraph_studies.execution import JobResult, LocalJob, RemoteJob, execute
 
 
@@ -22,8 +25,6 @@ class FakeWorker:
     diary: Path
 
     def create(self) -> Callable[[LocalJob | RemoteJob], JobResult]:
-        with (self.diary / "started.txt").open("a") as started:
-            started.write("started\n")
         return self.work
 
     def work(self, job: LocalJob | RemoteJob) -> JobResult:
@@ -69,3 +70,36 @@ class FakeWorker:
                 return 2
         Path(output).write_text((self.diary / "values.json").read_text())
         return 0
+
+
+def done(diary: Path) -> list[str]:
+    """The command lines, or of a study's commands the outputs, since the last call."""
+    path = diary / "done.txt"
+    lines = path.read_text().splitlines() if path.exists() else []
+    path.unlink(missing_ok=True)
+    return lines
+
+
+@dataclass
+class Here:
+    """An executor, and its pool, that work in this process."""
+
+    workers: int = 2
+    shares_files = True
+    given: dict[int, Any] = field(default_factory=dict)
+
+    @contextmanager
+    def pool(self, initializer: Callable[[], Callable], items: int) -> Iterator[Pool]:
+        self.work = initializer()
+        yield self
+
+    def idle(self) -> Sequence[int]:
+        return [worker for worker in range(self.workers) if worker not in self.given]
+
+    def submit(self, worker: int, item: Any) -> None:
+        self.given[worker] = item
+
+    def wait(self) -> Sequence[Outcome]:
+        given, self.given = self.given, {}
+        with chdir("."):  # work changes the folder
+            return [Outcome(worker, item, self.work(item)) for worker, item in given.items()]

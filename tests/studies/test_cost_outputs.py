@@ -16,6 +16,7 @@ from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph_studies.cost.config import (
     COST_TASKS,
     FULL_COST,
+    CostTest,
     by_demonstrations,
     known_answers,
 )
@@ -29,76 +30,44 @@ from contactgraph_studies.cost.known_answer import (
 )
 from contactgraph_studies.cost.study import CostStudy, cost_table, transfers
 from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
-from contactgraph_studies.results import Results, with_range
+from contactgraph_studies.results import Results
 
 RATIO = "learned over hidden"
-MOST = by_demonstrations(FULL_COST)[-1]
+FEWEST, *_, MOST = by_demonstrations(FULL_COST)
+NONE = Results({})
 
 
 @pytest.mark.parametrize(
-    ("change", "task", "holds"),
+    ("change", "task", "test", "holds"),
     [
-        (None, "", True),
-        ({"success_rate": 0.98}, "pickup", True),
-        (lambda seed: {"success_rate": 0.98 if seed else 0.97}, "pickup", False),
-        ({"success_rate": 0.5}, "door", True),
+        (None, "", MOST, True),
+        ({"success_rate": 0.98}, "pickup", MOST, True),
+        (lambda seed: {"success_rate": 0.98 if seed else 0.97}, "pickup", MOST, False),
+        ({"success_rate": 0.5}, "door", MOST, True),
+        ({"success_rate": 0.5}, "pickup", FEWEST, True),
     ],
 )
-def test_the_claim_is_about_all_episodes_of_pickup(
-    change: Change | None, task: str, holds: bool
+def test_the_claim_is_about_all_episodes_of_pickup_and_the_most_demonstrations(
+    change: Change | None, task: str, test: CostTest, holds: bool
 ) -> None:
-    found = transfers(cost_results(change, task, MOST), COST_TASKS, FULL_COST)
+    found = transfers(cost_results(change, task, test), COST_TASKS, FULL_COST)
     assert (found.number, found.holds) == (8, holds)
     json.dumps(found.to_json(), allow_nan=False)
 
 
-def test_sentence_and_numbers_of_the_claim() -> None:
-    found = transfers(
-        cost_results({"success_rate": 0.5}, "pickup", by_demonstrations(FULL_COST)[0]),
-        COST_TASKS,
-        FULL_COST,
-    )
-    assert found.holds is True, "fewer demonstrations are another question"
-    assert found.sentence == (
-        "pickup, 40 demonstrations: 99 % of 300 (97.1 to 99.7); "
-        "multi-pickup, 40 demonstrations: 99 % of 300 (97.1 to 99.7); "
-        "door, 40 demonstrations: 99 % of 300 (97.1 to 99.7)."
-    )
-    assert [number.statistic.median for number in found.metrics[:4]] == [50.0, 99.0, 99.0, 99.0]
-    nothing = transfers(Results({}), COST_TASKS, FULL_COST)
-    assert (nothing.holds, nothing.sentence) == (None, "Not measured.")
-
-
-def test_markdown_and_csv_agree() -> None:
+def test_the_table_has_a_row_for_each_cost() -> None:
     measured = cost_results(lambda seed: {"success_rate": 1.0 - seed / 100}, "pickup")
     table = cost_table(measured, COST_TASKS, FULL_COST)
-    texts = [table.texts_of(row) for row in table.rows]
-    assert len(texts) == 3 * 9 + 1
-    assert texts[3] == [
-        *("pickup", "expert", "40", "0"),
-        "99 % of 300 (97.1 to 99.7)",
-        "100, 99, 98",
-        "1.5 (1.5 to 1.5)",
-        "",
-        "30 (30 to 30)",
-    ]
-    assert texts[5][:4] == ["pickup", "expert among 5 distractors", "40", "5"]
-    assert texts[5][7] == "2, 2, 2"
-    assert texts[7][1] == "expert, without contacts"
-    assert texts[8][1] == "expert, without the prior"
-    assert texts[9][:4] == ["pickup", "not learned: the task's own cost", "", "0"]
+    assert len(table.rows) == 3 * 9 + 1
     read = list(csv.DictReader(io.StringIO(table.csv())))
-    own = read[9]["command_control"]
-    assert own.startswith("contactgraph control pickup pickup --episodes 40 ")
-    assert len(read) == len(texts)
-    first = read[3]
+    first, own = read[3], read[9]
     assert (first["successes"], first["episodes"], first["seeds"]) == ("297", "300", "3")
     assert float(first["interval_low"]) == pytest.approx(0.971, abs=5e-4)
     ends = [first[f"success_percent_{end}"] for end in ("median", "low", "high")]
     assert (*ends, first["learning_s_median"]) == ("99.0", "98.0", "100.0", "30.0")
-    assert first["demonstrations"] == "40" and read[9]["demonstrations"] == ""
-    empty = cost_table(Results({}), COST_TASKS, FULL_COST).csv()
-    assert next(csv.DictReader(io.StringIO(empty)))["successes"] == ""
+    assert first["contact_speed_m_s_median"] == "1.5"
+    assert (first["demonstrations"], own["demonstrations"]) == ("40", "")
+    assert own["command_control"].startswith("contactgraph control pickup pickup --episodes 40 ")
 
 
 def test_the_known_answer_is_known_up_to_scale() -> None:
@@ -118,13 +87,6 @@ def test_the_known_answer_is_known_up_to_scale() -> None:
     assert [term["hidden, N"].median for term in terms] == pytest.approx(weights)
     for term in terms:
         assert term[RATIO].values == pytest.approx((1.0, 0.5**0.5))
-    first = terms[0]
-    assert [with_range(one) for one in list(first.values())[2:]] == [
-        "17.3 (17.3 to 17.3)",
-        "14.8 (12.2 to 17.3)",
-        "0.854 (0.707 to 1)",
-        "6.5 (6 to 7)",
-    ]
     assert known_answer_terms([]) == []
 
 
@@ -176,11 +138,9 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
     assert known_answer_terms(second)[0][RATIO].values == pytest.approx((0.5**0.5,))
 
 
-def test_the_figure_is_reproducible_and_needs_no_measurement() -> None:
-    whole = pixels(success_figure(cost_results(), COST_TASKS, FULL_COST))
-    again = pixels(success_figure(cost_results(), COST_TASKS, FULL_COST))
-    assert np.array_equal(whole, again)
-    assert not np.array_equal(pixels(success_figure(Results({}), COST_TASKS, FULL_COST)), whole)
+def test_the_figure_shows_measurements_and_needs_none() -> None:
+    whole, empty = (success_figure(each, COST_TASKS, FULL_COST) for each in (cost_results(), NONE))
+    assert not np.array_equal(pixels(empty), pixels(whole))
 
 
 def test_a_study_without_measurements(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import pytest
@@ -17,14 +18,7 @@ from contactgraph_studies.job import Job, JobRecords
 from contactgraph_studies.paper.config import PICKUP
 from contactgraph_studies.runner import Failure, Progress
 
-FILES = {
-    "claims.json",
-    "figures",
-    "report.md",
-    "results.json",
-    "table.csv",
-    "table.md",
-}
+FILES = {"claims.json", "figures", "report.md", "results.json", "table.csv", "table.md"}
 
 
 @pytest.mark.parametrize(
@@ -57,14 +51,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
     """Jobs do not run: every JSON file that they would write holds the same numbers."""
     asked: list[list[Job]] = []
 
-    def run_jobs(
-        jobs: Sequence[Job],
-        records: JobRecords,
-        executor: object,
-        create: object,
-        report: object,
-        seconds: float,
-    ) -> list[Failure]:
+    def run_jobs(jobs: Sequence[Job], records: JobRecords, *others: Any) -> list[Failure]:
         asked.append(list(jobs))
         values = {
             **{"success_rate": 1.0, "episodes": 5, "n_step_rmse_planned_m": 0.001},
@@ -79,7 +66,8 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[list[Job]]:
         lost = [job for job in jobs if "paper-literal" in job.output]
         failures = [Failure(job, "not started: it needs something", False) for job in lost[1:]]
         first = Failure(lost[0], "exit code 2; contactgraph: no such model")
-        report(Progress(1, 2, 90.0, lost[0], first))  # type: ignore[operator]
+        report = others[2]
+        report(Progress(1, 2, 90.0, lost[0], first))
         return [first, *failures]
 
     monkeypatch.setattr("contactgraph_studies.runner.run_jobs", run_jobs)
@@ -99,10 +87,7 @@ def test_files_of_a_study(
     folder = tmp_path / "build" / "quick" / "door"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
     captured = capsys.readouterr()
-    assert (
-        "1. ours, holds: In distribution, every model's N-step error is under 1 cm" in captured.out
-    )
-    assert "the report: build/quick/door/report.md" in captured.out
+    assert "1. ours, holds: In distribution, every model's N-step error is" in captured.out
     assert "failed: contactgraph train " in captured.err
     assert "(exit code 2; contactgraph: no such model)" in captured.err
     claims = json.loads((folder / "claims.json").read_text())["claims"]
@@ -117,7 +102,9 @@ def test_files_of_a_study(
     assert results["failures"][0]["reason"] == "exit code 2; contactgraph: no such model"
     assert {job["task"] for job in results["cells"]} == {"door"}
     assert {path.suffix for path in (folder / "figures").iterdir()} == {".png"}
-    assert "Failed measurements" in (folder / "report.md").read_text()
+    report = (folder / "report.md").read_text()
+    assert report.count("\n> ") == 6, "each claim once, for all families"
+    assert "- ours: **holds**. " in report and "Failed measurements" in report
 
 
 def test_all_tasks_go_into_one_folder(
@@ -139,21 +126,12 @@ def test_all_tasks_go_into_one_folder(
     assert quick < full
 
 
-def test_files_of_the_study_of_costs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_of_the_study_of_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     history = LearningHistory(*[jnp.ones(1)] * 4)
     learned = replace(own_cost(PICKUP), history=history)
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
-    def run_jobs(
-        jobs: Sequence[Job],
-        records: JobRecords,
-        executor: object,
-        create: object,
-        report: object,
-        seconds: float,
-    ) -> list[Failure]:
+    def run_jobs(jobs: Sequence[Job], records: JobRecords, *others: Any) -> list[Failure]:
         for job in jobs:
             path = records.folder / job.output
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -169,9 +147,6 @@ def test_files_of_the_study_of_costs(
     assert cli.run(["reproduce", "cost", "--quick"]) == 0
     folder = tmp_path / "build" / "quick" / "cost"
     assert {path.name for path in folder.iterdir()} - {"cells"} == FILES
-    said = capsys.readouterr().out
-    assert "8. does not hold: A cost learned from demonstrations of one goal" in said
-    assert "the report: build/quick/cost/report.md" in said
     results = json.loads((folder / "results.json").read_text())
     assert results["command"] == "contactgraph reproduce cost --quick"
     assert (results["demonstrations"], results["test_scene_seeds"]) == ([5, 40], [1100])

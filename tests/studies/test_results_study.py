@@ -1,22 +1,21 @@
-"""The study of results: its jobs, table and notes from made-up numbers, and its gate."""
+"""The study of results: its table and notes from made-up numbers, and its gate."""
 
 import csv
 import io
 import json
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_lines import commands_of, conflicting_outputs, value
-from fake_worker import FakeWorker
+from fake_worker import FakeWorker, Here, done
 
 from contactgraph.cli import main as cli
 from contactgraph_studies import gate
 from contactgraph_studies.data_sets import (
-    DATA_SETS,
     FULL,
     GATE,
     QUICK,
@@ -50,7 +49,6 @@ CONTROL = {
     **{"plan_ms_p50": 1.5, "plan_ms_p99": 4.0},
 }
 AMOUNTS = Amounts((0, 1, 2), 60, 40, 100, 20, baselines=True)
-SETS = {data.slug: data for data in DATA_SETS}
 PICKUP = DataSet("pickup")
 PASSIVE = DataSet("billiards", ("--passive",))
 ABSENT = DataSet("fetch-push", extra="fetch")
@@ -99,50 +97,6 @@ def shown(result: StudyResult) -> dict[str, list[str]]:
     return {name: rest for name, *rest in cells}
 
 
-def test_every_command_line_is_one_of_ours_and_writes_files_of_its_own() -> None:
-    for amounts in (FULL, GATE, QUICK):
-        jobs = [one.job for one in result_measurements(DATA_SETS, amounts)]
-        assert commands_of(jobs) == {"collect", "train", "evaluate", "control"}
-        assert conflicting_outputs(jobs) == {}
-
-
-def test_all_jobs_of_the_full_study() -> None:
-    jobs = in_dependency_order(one.job for one in result_measurements(DATA_SETS, FULL))
-    trained = [job for job in jobs if job.arguments[0] == "train"]
-    assert len(trained) == 3 * len(DATA_SETS) == 54
-    assert {value(job, "--seed") for job in trained} == {"0", "1", "2"}
-    assert all(job.arguments[4:] == ("--seed", value(job, "--seed")) for job in trained)
-    recorded = [job for job in jobs if job.arguments[0] == "collect"]
-    assert {value(job, "--seed") for job in recorded} == {"0", "1000"}
-    fitted = [job for job in jobs if "--baselines" in job.arguments]
-    assert len(fitted) == len(DATA_SETS) + 2 and all("seed-0" in job.output for job in fitted)
-
-
-def test_all_controllers_of_a_row_get_the_same_scenes_and_all_trainings_the_same_data() -> None:
-    data = SETS["pusht"]
-    found = result_measurements([data], FULL)
-    for scenes in data.scenes:
-        here = [one for one in found if one.condition.scenes == scenes.slug]
-        closed = [one.job.arguments for one in here if one.job.arguments[0] == "control"]
-        options = {arguments[2 : arguments.index("--json")] for arguments in closed}
-        assert options == {(scenes.task or "pusht", "--episodes", "20", "--seed", "2000")}
-        kinds = [one.condition.source for one in here]
-        assert kinds.count(Source.mpc) == 3 and {Source.expert, Source.fixed_start} < set(kinds)
-    models = {one.job.arguments[1] for one in found if one.condition.source is Source.mpc}
-    assert models == {f"pusht/seed-{seed}/run" for seed in (0, 1, 2)}, "one model for both tasks"
-
-
-def test_the_gate_repeats_trainings_of_the_full_study_without_its_baselines() -> None:
-    full, small = (
-        {job.fingerprint for job in in_dependency_order(one.job for one in found)}
-        for found in (result_measurements(DATA_SETS, each) for each in (FULL, GATE))
-    )
-    gate_jobs = in_dependency_order(one.job for one in result_measurements(DATA_SETS, GATE))
-    others = [job for job in gate_jobs if job.fingerprint not in full]
-    fewer = {"collect", "evaluate", "control"}  # trajectories to test, scenes
-    assert {job.arguments[0] for job in others} == fewer and len(small) < len(full) / 2
-
-
 def test_cells_by_hand(tmp_path: Path) -> None:
     def values(one: Measurement) -> Values:
         error, rate = (0.002, 0.001, 0.004)[one.seed % 5], (1.0, 0.97, 0.5)[one.seed % 5]
@@ -162,10 +116,8 @@ def test_cells_by_hand(tmp_path: Path) -> None:
     assert (row["row"], row["trainings"], row["episodes_mpc"]) == ("pickup", "3", "100")
     assert [row[f"measured_cm_{end}"] for end in ("median", "low", "high")] == ["0.2", "0.1", "0.4"]
     assert (row["percent_of_each_seed_mpc"], row["successes_expert"]) == ("100 97 50", "19")
-    assert row["command_collect"].startswith("contactgraph collect pickup --episodes 60 --seed 0")
-    assert row["command_train"].startswith("contactgraph train pickup/train.h5 ")
-    assert row["command_evaluate"].startswith("contactgraph evaluate pickup/seed-0/run ")
-    assert row["command_control"].startswith("contactgraph control pickup/seed-0/run pickup ")
+    for name in ("collect", "train", "evaluate", "control"):
+        assert row[f"command_{name}"].startswith(f"contactgraph {name} pickup")
     kept = {key for one in result.readings for key in one["values"]}
     assert "training_s" in kept and kept <= {q.key for _, q in QUANTITIES.values()} | {
         *("n_step_rmse_m", "n_step_rmse_inferred_m", "episodes", "seed"),
@@ -227,6 +179,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "values.json").write_text(json.dumps({**EVALUATION, **CONTROL}))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("contactgraph_studies.runner.create_worker", FakeWorker(tmp_path).create)
+    monkeypatch.setattr("contactgraph.cli.options.open_executor", lambda _: nullcontext(Here()))
 
     def studies(quick: bool, gate: bool) -> dict[str, Any]:
         amounts = QUICK if quick else GATE if gate else FULL
@@ -237,14 +190,6 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.setattr("contactgraph_studies.reproduce._studies", studies)
     return tmp_path
-
-
-def done(folder: Path) -> list[str]:
-    """Outputs of the commands since the last call."""
-    path = folder / "done.txt"
-    lines = path.read_text().splitlines() if path.exists() else []
-    path.unlink(missing_ok=True)
-    return lines
 
 
 def test_rows_are_made_one_after_the_other_and_only_once(

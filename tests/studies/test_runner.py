@@ -5,9 +5,10 @@ import multiprocessing
 from pathlib import Path
 
 import pytest
-from fake_worker import FakeWorker
+from fake_worker import FakeWorker, Here, done
 
-from contactgraph.parallel import LocalExecutor
+from contactgraph.data import read_trajectories
+from contactgraph.parallel import Executor, LocalExecutor
 from contactgraph_studies.execution import LocalJob, create_worker, execute
 from contactgraph_studies.job import Job, JobRecords, in_dependency_order
 from contactgraph_studies.runner import Failure, Progress, run_jobs
@@ -18,32 +19,12 @@ def make(output: str, *words: str, needs: tuple[Job, ...] = ()) -> Job:
 
 
 def run(
-    folder: Path, jobs: list[Job], workers: int = 2, version: str = "1"
+    folder: Path, jobs: list[Job], executor: Executor | None = None, version: str = "1"
 ) -> tuple[list[Failure], list[Progress]]:
     steps: list[Progress] = []
-    records = JobRecords(folder, version)
-    executor, create = LocalExecutor(workers), FakeWorker(folder.absolute()).create
-    return run_jobs(in_dependency_order(jobs), records, executor, create, steps.append), steps
-
-
-def done(folder: Path) -> list[str]:
-    """The command lines that were carried out since the last call."""
-    path = folder / "done.txt"
-    lines = path.read_text().splitlines() if path.exists() else []
-    path.unlink(missing_ok=True)
-    return lines
-
-
-def test_jobs_come_after_their_inputs() -> None:
-    data = make("data")
-    run_ = make("run", needs=(data,))
-    assert [
-        job.output for job in in_dependency_order([make("b", needs=(run_, data)), run_, data])
-    ] == [
-        "data",
-        "run",
-        "b",
-    ]
+    records, create = JobRecords(folder, version), FakeWorker(folder.absolute()).create
+    given = in_dependency_order(jobs), records, executor or Here(), create, steps.append
+    return run_jobs(*given), steps
 
 
 def test_finished_jobs_are_not_run_again(tmp_path: Path) -> None:
@@ -137,23 +118,25 @@ def test_a_study_goes_on_from_its_results_alone(tmp_path: Path) -> None:
 
 
 def test_after_its_time_no_job_is_started(tmp_path: Path) -> None:
-    given = LocalExecutor(2), FakeWorker(tmp_path.absolute()).create, lambda progress: None
+    given = Here(), FakeWorker(tmp_path).create, lambda progress: None
     assert run_jobs([make("late")], JobRecords(tmp_path, "1"), *given, seconds=0.0) == []
     assert done(tmp_path) == []
 
 
 @pytest.mark.parametrize(
-    ("verb", "reason"),
+    ("verb", "executor", "reason"),
     [
-        ("fail", "exit code 2; contactgraph: it cannot be"),
-        ("die", "its process died, exit code 9; it printed n"),
+        ("fail", Here(1), "exit code 2; contactgraph: it cannot be"),
+        ("die", LocalExecutor(1), "its process died, exit code 9; it printed n"),
     ],
 )
-def test_a_failure_stops_only_the_jobs_that_need_it(tmp_path: Path, verb: str, reason: str) -> None:
+def test_a_failure_stops_only_the_jobs_that_need_it(
+    tmp_path: Path, verb: str, executor: Executor, reason: str
+) -> None:
     bad = Job("bad", (verb, "bad"), "bad")
     lost = make("lost", needs=(bad,))
     jobs = [bad, make("further", needs=(lost,)), make("good"), make("better")]
-    failures, steps = run(tmp_path, jobs, workers=1)
+    failures, steps = run(tmp_path, jobs, executor)
     assert [failure.job.output for failure in failures] == ["bad", "lost", "further"]
     assert failures[0].reason.startswith(reason)
     assert failures[1].reason == "not started: it needs bad"
@@ -162,7 +145,7 @@ def test_a_failure_stops_only_the_jobs_that_need_it(tmp_path: Path, verb: str, r
     assert [step.failure is None for step in steps] == [False, True, True]
     assert steps[-1].done == steps[-1].total == 5
     done(tmp_path)
-    run(tmp_path, jobs)
+    run(tmp_path, jobs, executor)
     assert done(tmp_path) == [f"{verb} bad"], "tried again, and nothing else is"
 
 
@@ -179,7 +162,10 @@ def test_a_training_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("alive", "draws"), [("1003", 2), ("never", 5)])
-def test_a_dead_network_is_drawn_again_and_counted(tmp_path: Path, alive: str, draws: int) -> None:
+def test_a_dead_network_is_drawn_again_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alive: str, draws: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
     job = Job("run", ("train", "data", "--out", "run", "--seed", "3"), "train")
     tried: list[list[str]] = []
 
@@ -229,7 +215,7 @@ def test_a_training_that_has_dead_networks_alone_is_not_tried_again(tmp_path: Pa
 
 def test_several_at_a_time(tmp_path: Path) -> None:
     jobs = [make(f"job-{number}") for number in range(12)]
-    failures, steps = run(tmp_path, jobs, workers=3)
+    failures, steps = run(tmp_path, jobs, Here(3))
     assert failures == []
     assert sorted(done(tmp_path)) == sorted(f"make job-{number}" for number in range(12))
     assert [step.done for step in steps] == list(range(1, 13))
@@ -237,10 +223,9 @@ def test_several_at_a_time(tmp_path: Path) -> None:
 
 def test_a_process_prefers_jobs_whose_programs_it_has(tmp_path: Path) -> None:
     jobs = [Job(f"{n}", ("make", f"{n}"), group="ab"[n % 2]) for n in range(60)]
-    run(tmp_path, jobs, workers=1)
+    run(tmp_path, jobs, Here(1))
     first = [int(line.split()[1]) % 2 for line in done(tmp_path)]
     assert first == [0] * 30 + [1] * 30
-    assert (tmp_path / "started.txt").read_text().count("started") == 1
 
 
 def test_ctrl_c_ends_the_workers_and_the_next_run_continues(tmp_path: Path) -> None:
@@ -249,14 +234,9 @@ def test_ctrl_c_ends_the_workers_and_the_next_run_continues(tmp_path: Path) -> N
     def interrupted(progress: Progress) -> None:
         raise KeyboardInterrupt
 
+    begin = FakeWorker(tmp_path).create
     with pytest.raises(KeyboardInterrupt):
-        run_jobs(
-            jobs,
-            JobRecords(tmp_path, "1"),
-            LocalExecutor(1),
-            FakeWorker(tmp_path).create,
-            interrupted,
-        )
+        run_jobs(jobs, JobRecords(tmp_path, "1"), LocalExecutor(1), begin, interrupted)
     assert multiprocessing.active_children() == []
     assert done(tmp_path) == ["make a"]
     run(tmp_path, jobs)
@@ -274,6 +254,4 @@ def test_a_real_cell(tmp_path: Path) -> None:
     assert [failure.reason for failure in failures] == [
         "exit code 2; contactgraph: --episodes must be 1 to 100000, found 0"
     ]
-    from contactgraph.data import read_trajectories
-
     assert len(read_trajectories(tmp_path / "cells" / "data.h5")) == 2

@@ -1,20 +1,16 @@
-"""The study on a simulated robot: its jobs, and its table from made-up numbers."""
+"""The study on a simulated robot: its table from made-up numbers."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from contactgraph.cli.main import parse
 from contactgraph_studies.simulated_robot import (
     BY_FINGERS,
     BY_MOTION,
     FULL_SIM,
     LIVE,
-    QUICK_SIM,
     SMOOTHED,
-    TRAINING,
     VALIDATION,
     SimulatedRobotStudy,
     controlled,
@@ -41,30 +37,11 @@ NUMBERS = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def test_the_table_has_every_number_that_is_known(tmp_path: Path) -> None:
     (tmp_path / "cells").mkdir()
     for name, values in NUMBERS.items():
         (tmp_path / "cells" / f"{name}.json").write_text(json.dumps(values))
-    return tmp_path
-
-
-def test_every_command_is_valid_and_follows_its_inputs() -> None:
-    for amounts in (FULL_SIM, QUICK_SIM):
-        made: set[str] = set()
-        for job in SimulatedRobotStudy(amounts).jobs:
-            assert not isinstance(parse(list(job.arguments)), int), job.command
-            assert {need.output for need in job.needs} <= made
-            made.add(job.output)
-
-
-def test_the_amounts_are_the_papers() -> None:
-    counts = (FULL_SIM.training_runs, FULL_SIM.validation_runs, FULL_SIM.seconds)
-    assert counts == (25, 5, 10.0) and FULL_SIM.episodes == 20
-
-
-def test_the_table_has_every_number_that_is_known(folder: Path) -> None:
-    found = SimulatedRobotStudy(FULL_SIM).result(folder)
+    found = SimulatedRobotStudy(FULL_SIM).result(tmp_path)
     assert "validation runs,position_error_worst_m,mm,12.0" in found.tables[0].csv()
     assert "edge_f1," not in found.tables[0].csv()
     rows = {(row["What"], row["number"]): row["value"] for row in found.tables[0].rows}
@@ -75,13 +52,5 @@ def test_the_table_has_every_number_that_is_known(folder: Path) -> None:
     assert rows[VALIDATION.source, "rate_hz"] == 998.0
     assert rows[VALIDATION.source, "position_error_m"] == pytest.approx(0.4)
     assert (rows[fingers, "successes"], rows[fingers, "episodes"]) == (18, 20)
+    assert len(found.readings) == len(NUMBERS)
     assert not any(what == controlled(BY_MOTION).source for what, _ in rows)
-    assert "| training runs" in found.tables[0].markdown()
-    sources = [reading["source"] for reading in found.readings]
-    assert len(sources) == len(NUMBERS)
-    assert {TRAINING.source, LIVE.source, controlled(BY_FINGERS).source} < set(sources)
-
-
-def test_the_summary_names_the_number_of_episodes(folder: Path) -> None:
-    study = SimulatedRobotStudy(replace(FULL_SIM, episodes=3))
-    assert "3 pickups by MPC" in study.result(folder).summary

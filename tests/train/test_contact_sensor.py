@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from training import CONFIG, first_state, split
+from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
 from contactgraph.model import ContactSensor, ModelConfig, hidden_markov_filter
@@ -62,30 +62,30 @@ def approach() -> Window:
     """A body that runs into another at rest."""
     position = jnp.zeros((2, 9, 2, 2)).at[:, :, 1, 0].set(0.12)
     position = position.at[:, :, 0, 0].set(0.01 * jnp.arange(9.0))
-    nodes = Nodes(jnp.array([[True, False]] * 2), jnp.ones((2, 2), bool), jnp.ones((2, 1), bool))
     velocity = jnp.zeros_like(position).at[:, :, 0, 0].set(0.2)
-    return Window(position, velocity, jnp.zeros((2, 8, 2)), nodes)
+    return window_of(position, velocity, jnp.zeros((2, 8, 2)))
 
 
 def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them() -> None:
+    """And only where steps are observed."""
     window, mask = approach(), jnp.ones((2, 8), bool)
     # Fresh rates are zero, and then nothing is remembered.
     bias = 3.0 * jnp.eye(3).reshape(-1)
     model = eqx.tree_at(lambda each: each.inference.rates.layers[-1].bias, MODEL, bias)
 
     @eqx.filter_jit
-    def score(contact: jax.Array):
+    def score(contact: jax.Array, observed: jax.Array):
         judged = judge_steps(model, window)
 
         def loss(model):
-            return filter_loss(model, window, judged, mask, mask, KEY, contact)
+            return filter_loss(model, window, judged, mask, observed, KEY, contact)
 
         return eqx.filter_value_and_grad(loss)(model)
 
-    none, _ = score(jnp.full((2, 9, 1), jnp.nan))
-    free, slope = score(jnp.zeros((2, 9, 1)))
-    touch, _ = score(jnp.ones((2, 9, 1)))
-    assert len({float(none), float(free), float(touch)}) == 3
+    reports = [jnp.full((2, 9, 1), each) for each in (jnp.nan, 0.0, 1.0)]
+    assert len({float(score(each, mask)[0]) for each in reports}) == 3
+    assert len({float(score(each, ~mask)[0]) for each in reports}) == 1
+    _, slope = score(reports[1], mask)
     others = slope.local_dynamics, slope.features
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(others)) == 0.0
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
@@ -132,7 +132,8 @@ def test_contacts_are_read_only_where_asked_for(recorded: Path) -> None:
     check_contacts(MODEL, parts[0], "")
 
 
-def denied(distance: float, speed: float, rate: float) -> float:
+@jax.jit
+def denied(distance: jax.Array, speed: jax.Array, rate: jax.Array) -> jax.Array:
     """The denial score of two bodies at this distance that approach each other, or not."""
     bias = rate * jnp.eye(3).reshape(-1)
     model = eqx.tree_at(lambda each: each.inference.rates.layers[-1].bias, MODEL, bias)
@@ -144,7 +145,7 @@ def denied(distance: float, speed: float, rate: float) -> float:
         return model.encode(position, velocity, nodes)
 
     graph = jax.vmap(jax.vmap(encode))(position, velocity)
-    return float(_denial_score(model, graph, KEY))
+    return _denial_score(model, graph, KEY)
 
 
 def test_what_a_sensor_denies_about_bodies_that_touch_at_rest_is_to_last() -> None:

@@ -101,10 +101,6 @@ def test_a_training_with_dead_units_stops_at_its_first_check(recorded: Path) -> 
     assert result.held_out_rmse_m == checks[0].held_out_rmse_m
 
 
-def test_a_healthy_short_training_runs_to_its_end(recorded: Path) -> None:
-    assert trained_on(split(recorded), first_state()).status is FitStatus.finished
-
-
 @pytest.mark.parametrize(
     ("error", "best", "done", "dead"),
     [

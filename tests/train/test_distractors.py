@@ -54,8 +54,10 @@ def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> 
     assert np.all(after.nodes.candidate[:, 3:]), "its edges are candidates"
 
 
-def test_recorded_nodes_are_unchanged() -> None:
+def test_recorded_nodes_are_unchanged_and_it_has_no_reach() -> None:
     before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
+    reach = jnp.tile(jnp.array([[[-1.0, -1.0], [1.0, 1.0]]]), (4, 2, 1, 1))
+    before = dataclasses.replace(before, nodes=before.nodes._replace(reach=reach))
     after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
     np.testing.assert_array_equal(after.position[:, :, :2], before.position)
     np.testing.assert_array_equal(after.velocity[:, :, :2], before.velocity)
@@ -63,15 +65,8 @@ def test_recorded_nodes_are_unchanged() -> None:
     np.testing.assert_array_equal(after.nodes.mask[:, :2], before.nodes.mask)
     np.testing.assert_array_equal(after.nodes.actuated[:, :2], before.nodes.actuated)
     np.testing.assert_array_equal(after.nodes.candidate[:, :1], before.nodes.candidate)
-
-
-def test_its_reach_has_no_bounds() -> None:
-    before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
-    reach = jnp.tile(jnp.array([[[-1.0, -1.0], [1.0, 1.0]]]), (4, 2, 1, 1))
-    before = dataclasses.replace(before, nodes=before.nodes._replace(reach=reach))
-    after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0)).nodes.reach
-    np.testing.assert_array_equal(after[:, :2], reach)
-    assert after.shape == (4, 3, 2, 2) and np.isnan(after[:, 2]).all()
+    np.testing.assert_array_equal(after.nodes.reach[:, :2], reach)
+    assert after.nodes.reach.shape == (4, 3, 2, 2) and np.isnan(after.nodes.reach[:, 2]).all()
 
 
 def test_without_space_a_distractor_is_masked() -> None:
@@ -92,26 +87,21 @@ def test_without_space_a_distractor_is_masked() -> None:
     assert np.all(np.isfinite(after.position))
 
 
-def resting(actuated: list[bool], speed: list[float], mask_out: bool = False) -> bool:
-    count = len(actuated)
-    scene = Scene(tuple("abc"[:count]), ("x",) * count, np.array(actuated), 0.1)
-    velocity = np.zeros((4, count, 2))
+def moving(*speed: float, steps: int = 3) -> Trajectory:
+    """Bodies of these speeds, m/s, of which the first is actuated."""
+    count = len(speed)
+    scene = Scene(tuple("abc"[:count]), ("x",) * count, np.arange(count) == 0, 0.1)
+    velocity = np.zeros((steps + 1, count, 2))
     velocity[..., 0] = speed
-    trajectory = Trajectory(scene, np.zeros((4, count, 2)), velocity, np.zeros((3, 1)))
-    trajectories = (trajectory,)
-    if mask_out:
-        longer = Trajectory(
-            Scene(("a", "b", "c"), ("x",) * 3, np.zeros(3, bool), 0.1),
-            np.zeros((9, 3, 2)),
-            np.ones((9, 3, 2)),
-            np.zeros((8, 1)),
-        )
-        trajectories = (trajectory, longer)
-    return has_resting_bodies(pad_trajectories(Dataset(trajectories)))
+    return Trajectory(scene, np.zeros_like(velocity), velocity, np.zeros((steps, 1)))
 
 
 def test_whether_bodies_ever_rest() -> None:
-    assert resting([True, False], [1.0, 0.0])
-    assert not resting([True, False], [1.0, 0.5])
-    assert not resting([True, False], [0.0, 0.5]), "an actuated body that waits says nothing"
-    assert not resting([True, False], [0.0, 0.5], mask_out=True), "padding is not a resting body"
+    def resting(*trajectories: Trajectory) -> bool:
+        return has_resting_bodies(pad_trajectories(Dataset(trajectories)))
+
+    assert resting(moving(1.0, 0.0))
+    assert not resting(moving(1.0, 0.5))
+    assert not resting(moving(0.0, 0.5)), "an actuated body that waits says nothing"
+    longer = moving(1.0, 1.0, 1.0, steps=8)
+    assert not resting(moving(0.0, 0.5), longer), "padding is not a resting body"

@@ -31,8 +31,6 @@ from contactgraph.cli import main as cli
 from contactgraph.data import (
     Dataset,
     InvalidInputError,
-    Scene,
-    Trajectory,
     pad_trajectories,
     read_trajectories,
     strip_contacts,
@@ -43,6 +41,7 @@ from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.model.io import load_model
 from contactgraph.train import (
     FitProgress,
+    FitResult,
     FitStatus,
     LossTerms,
     RunFolder,
@@ -65,18 +64,26 @@ ADVANCE = importlib.import_module("contactgraph.train.advance")
 pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
 
 
-def test_contact_labels_are_not_read(recorded: Path, tmp_path: Path) -> None:
-    bare = tmp_path / "bare.h5"
+@pytest.fixture(scope="module")
+def straight(recorded: Path, trained: Path) -> tuple[FitResult, list[FitProgress]]:
+    """The result of the training that nothing disturbs, and its three checks."""
+    checks: list[FitProgress] = []
+    result = trained_on(split(recorded), first_state(), checks.append)
+    assert result.status is FitStatus.finished
+    return result, checks
+
+
+def test_contact_labels_are_not_read(recorded: Path, straight: tuple, tmp_path: Path) -> None:
+    bare, (with_labels, _) = tmp_path / "bare.h5", straight
     dataset = read_trajectories(recorded)
     write_trajectories(bare, strip_contacts(dataset).trajectories, dataset.metadata)
     assert all(run.contact is None for run in read_trajectories(bare))
-    with_labels = trained_on(split(recorded), first_state())
     without = trained_on(split(bare), first_state())
     assert_bit_equal(without.state, with_labels.state)
     assert without.held_out_rmse_m == with_labels.held_out_rmse_m
 
 
-def test_masses_radii_and_names_are_not_read(recorded: Path) -> None:
+def test_masses_radii_and_names_are_not_read(recorded: Path, straight: tuple) -> None:
     train, held_out = split(recorded)
     nameless = [
         dataclasses.replace(
@@ -93,13 +100,14 @@ def test_masses_radii_and_names_are_not_read(recorded: Path) -> None:
         )
         for run in train
     ]
-    expected = states_until(4, first_state(), (train, held_out))
-    assert_bit_equal(states_until(4, first_state(), (Dataset(tuple(nameless)), held_out)), expected)
+    found = states_until(4, first_state(), (Dataset(tuple(nameless)), held_out))
+    assert_bit_equal(found, straight[1][0].state)
 
 
-def test_one_seed_makes_one_result_and_another_seed_another(recorded: Path) -> None:
-    parts = split(recorded)
-    once = states_until(4, first_state(), parts)
+def test_one_seed_makes_one_result_and_another_seed_another(
+    recorded: Path, straight: tuple
+) -> None:
+    parts, once = split(recorded), straight[1][0].state
     assert_bit_equal(states_until(4, first_state(), parts), once)
     # The same model, other draws: the key alone must make the difference.
     other = dataclasses.replace(first_state(), key=first_state(1).key)
@@ -107,14 +115,14 @@ def test_one_seed_makes_one_result_and_another_seed_another(recorded: Path) -> N
     assert not bit_equal(first_state(1).model, first_state(0).model)
 
 
-def test_a_first_state_has_the_types_of_all_that_follow(recorded: Path) -> None:
+def test_a_first_state_has_the_types_of_all_that_follow(straight: tuple) -> None:
     """Else every stage would be compiled twice, and compiling is most of a short training."""
 
     def types(state: object) -> list:
         arrays = jax.tree.leaves(eqx.filter(state, eqx.is_array))
         return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in arrays]
 
-    assert types(states_until(4, first_state(), split(recorded))) == types(first_state())
+    assert types(straight[1][0].state) == types(first_state())
 
 
 def test_training_stops_where_the_held_out_error_no_longer_falls(recorded: Path) -> None:
@@ -150,9 +158,8 @@ def test_a_loss_that_is_not_finite_ends_training_and_is_not_saved(recorded: Path
     assert math.isinf(result.held_out_rmse_m)
 
 
-def test_the_best_model_is_kept(recorded: Path) -> None:
-    parts, checks = split(recorded), []
-    result = trained_on(parts, first_state(), checks.append)
+def test_the_best_model_is_kept(recorded: Path, straight: tuple) -> None:
+    result, checks = straight
     best = min(checks, key=lambda check: check.held_out_rmse_m)
     assert result.held_out_rmse_m == best.held_out_rmse_m
     assert_bit_equal(result.model, best.state.model)
@@ -161,7 +168,7 @@ def test_the_best_model_is_kept(recorded: Path) -> None:
     lost = dataclasses.replace(
         good, model=first_state(3).model, best_error=jnp.full((), 1e-6, float)
     )
-    result = trained_on(parts, lost)
+    result = trained_on(split(recorded), lost)
     assert result.held_out_rmse_m == pytest.approx(1e-6)
     assert_bit_equal(result.model, good.best_model)
 
@@ -256,46 +263,15 @@ def test_a_learned_contact_distance_stays_positive(
     assert distance == pytest.approx(0.1 * first_state().model.features.length)
 
 
-def test_a_given_contact_distance_and_other_weights_are_not_bounded() -> None:
-    given = gim_temp(
-        ModelConfig(2, 2, 0.05, 0.02, learned_contact_distance=False), key=jax.random.key(0)
-    )
-    assert with_positive_distance(given) is given
-    assert in_lengths(given) is given
-    model = first_state().model
-    assert_bit_equal(with_positive_distance(model), model)
-    # A distance is updated in units of its first guess; the other weights as they were.
+def test_a_distance_is_updated_in_units_of_its_first_guess_and_all_else_as_it_was() -> None:
+    config = ModelConfig(2, 2, 0.05, 0.02, width=4, learned_contact_distance=False)
+    given, model = gim_temp(config, key=jax.random.key(0)), first_state().model
+    assert in_lengths(given) is given and with_positive_distance(given) is given
     scaled = in_lengths(model)
     distance, length = model.features.contact_distance, model.features.length
     assert float(scaled.features.contact_distance) == pytest.approx(length * float(distance))
     restored = eqx.tree_at(lambda each: each.features.contact_distance, scaled, distance)
     assert_bit_equal(restored, model)
-
-
-@pytest.mark.slow
-def test_a_user_written_file_trains(tmp_path: Path) -> None:
-    """In space, without actuation, with other names, other numbers of nodes and steps."""
-    rng = np.random.default_rng(0)
-
-    def run(names: tuple[str, ...], steps: int) -> Trajectory:
-        count = len(names)
-        velocity = np.repeat(rng.normal(size=(1, count, 3)), steps + 1, axis=0)
-        position = (
-            rng.normal(size=(count, 3)) + 0.01 * np.arange(steps + 1)[:, None, None] * velocity
-        )
-        scene = Scene(names, names, np.zeros(count, bool), dt=0.01, dimension=3)
-        return Trajectory(scene, position, velocity, np.zeros((steps, 0)))
-
-    path = tmp_path / "mine.h5"
-    write_trajectories(path, [run(("cup", "lid"), 6), run(("a", "b", "c"), 9), run(("x", "y"), 9)])
-    dataset = read_trajectories(path)
-    config = TrainConfig(steps=2, batch_size=2, window_length=2, rollout_from=1.0)
-    state = initial_state(gim_temp(ModelConfig(3, 0, 0.01), key=jax.random.key(0)), config, 0)
-    checks = []
-    result = fit(state, dataset, dataset, config, checks.append)
-    assert result.status is FitStatus.finished
-    assert math.isfinite(result.held_out_rmse_m)
-    assert not bit_equal(result.state.model, state.model)
 
 
 @pytest.mark.slow
@@ -330,19 +306,18 @@ def test_a_short_training_is_what_it_was(recorded: Path, tmp_path: Path) -> None
     assert theta == pytest.approx(golden["theta"], abs=0.02)
 
 
-def test_from_any_checkpoint_on(recorded: Path, tmp_path: Path) -> None:
+def test_from_any_checkpoint_on(recorded: Path, straight: tuple, tmp_path: Path) -> None:
     """One check before the rollout joins the loss, and one where it does."""
     parts, path = split(recorded), tmp_path / "checkpoint.safetensors"
-    straight = trained_on(parts, first_state())
-    for steps in (4, 8):
-        interrupted = states_until(steps, first_state(), parts)
-        save_checkpoint(path, interrupted)
+    result, checks = straight
+    for check in checks[:2]:
+        save_checkpoint(path, check.state)
         restored = load_checkpoint(path, first_state(1))
-        assert_bit_equal(restored, interrupted)
+        assert_bit_equal(restored, check.state)
         resumed = trained_on(parts, restored)
-        assert_bit_equal(resumed.state, straight.state)
-        assert resumed.held_out_rmse_m == straight.held_out_rmse_m
-        assert resumed.status is straight.status
+        assert_bit_equal(resumed.state, result.state)
+        assert resumed.held_out_rmse_m == result.held_out_rmse_m
+        assert resumed.status is result.status
 
 
 def test_the_latest_checkpoint_of_a_folder_holds_the_whole_state(tmp_path: Path) -> None:
@@ -396,12 +371,6 @@ def test_the_command_leaves_the_same_folder(
     ]
     for path in [*RunFolder(trained).checkpoints(), trained / "model.safetensors"]:
         assert weights(run / path.name) == weights(path), path.name
-
-
-def test_a_row_without_its_checkpoint_is_measured_again(trained: Path, tmp_path: Path) -> None:
-    """A kill between measurements and checkpoint leaves one row too many, never one too few."""
-    run = rewound(trained, tmp_path / "run", 8)
-    assert [row["step"] for row in RunFolder(run).metrics()] == [4, 8, 12]
 
 
 @pytest.mark.parametrize(

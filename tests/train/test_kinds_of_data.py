@@ -48,6 +48,14 @@ def pillar(seed: int) -> Trajectory:
     return dataclasses.replace(run, position=position, velocity=velocity)
 
 
+def two_or_three(seed: int) -> Trajectory:
+    run = discs(seed)
+    if seed % 2:
+        return run
+    scene = Scene(("a", "b"), ("disc",) * 2, np.zeros(2, bool), run.scene.dt)
+    return Trajectory(scene, run.position[:, :2], run.velocity[:, :2], run.control)
+
+
 def servo(seed: int, dimension: int, kinds: tuple[str, ...], dt: float) -> Trajectory:
     """A hand that follows its command and pushes a block along the first axis."""
     rng = np.random.default_rng(seed)
@@ -99,7 +107,7 @@ def with_a_switch(seed: int) -> Trajectory:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "record",
-    [discs, pillar, single, at_10_hz, in_space, with_a_switch],
+    [discs, pillar, two_or_three, single, at_10_hz, in_space, with_a_switch],
     ids=lambda record: record.__name__,
 )
 def test_it_trains_by_the_defaults(record: Callable[[int], Trajectory], tmp_path: Path) -> None:

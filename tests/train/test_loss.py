@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from training import window_of
 
-from contactgraph.model import LinearDynamics, ModelConfig, Nodes, gim_temp, two_type_belief
+from contactgraph.model import LinearDynamics, ModelConfig, gim_temp, two_type_belief
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
@@ -61,23 +62,12 @@ class Still(eqx.Module):
         return jax.tree.map(lambda leaf: jnp.stack([leaf] * len(controls)), state)
 
 
-def nodes(batch: int, mask: list[bool]) -> Nodes:
-    count = len(mask)
-    return Nodes(
-        actuated=jnp.broadcast_to(jnp.arange(count) == 0, (batch, count)),
-        mask=jnp.broadcast_to(jnp.asarray(mask), (batch, count)),
-        candidate=jnp.ones((batch, count * (count - 1) // 2), bool),
-    )
-
-
-def by_hand() -> Window:
+def by_hand(mask: list[bool] | None = None) -> Window:
     """One step: node 0 moves by 0.1 m, node 1 gains 3 m/s; in the second window nothing does."""
     position, velocity = np.zeros((2, 2, 2, 2)), np.zeros((2, 2, 2, 2))
     position[0, 1, 0, 0] = 0.1
     velocity[0, 1, 1, 1] = 3.0
-    return Window(
-        jnp.asarray(position), jnp.asarray(velocity), jnp.zeros((2, 1, 2)), nodes(2, [True] * 2)
-    )
+    return window_of(position, velocity, np.zeros((2, 1, 2)), mask)
 
 
 def test_the_terms_by_hand() -> None:
@@ -96,8 +86,7 @@ def test_the_terms_by_hand() -> None:
 def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
     model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
     rng = np.random.default_rng(0)
-    states = [jnp.asarray(0.1 * rng.normal(size=(2, 3, 2, 2)), jnp.float32) for _ in range(2)]
-    window = Window(*states, jnp.zeros((2, 2, 2)), nodes(2, [True] * 2))
+    window = window_of(*(0.1 * rng.normal(size=(2, 2, 3, 2, 2))), np.zeros((2, 2, 2)))
 
     def terms(size: int, control: jax.Array) -> list[float]:
         sized = dataclasses.replace(model, control_size=size)
@@ -126,7 +115,7 @@ def test_the_rollout_term_is_zero_unless_requested() -> None:
 
 
 def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
-    masked = dataclasses.replace(by_hand(), nodes=nodes(2, [True, False]))
+    masked = by_hand([True, False])
     terms = jitted_loss(Still(), masked, jax.random.key(0), with_rollout=True)
     assert float(terms.prediction) == pytest.approx((2 + 0) / 2, abs=2e-3)
     assert float(terms.squared) == pytest.approx((4 + 0) / 2)
@@ -172,7 +161,7 @@ def test_training_gives_each_step_its_control_displacement_without_gradient() ->
     expected[0, 1, :, 0] = 3.0
     expected[0, 2, :, 1] = 5.0
     expected[0, 3, :, 0] = [14.0, 7.0]
-    window = Window(*map(jnp.asarray, (position, expected, control)), nodes(1, [True] * 2))
+    window = window_of(position, expected, control)
 
     @eqx.filter_jit
     @eqx.filter_value_and_grad
@@ -201,16 +190,9 @@ def random_windows(padding: float) -> Window:
     # Nothing moves, so predictions may be exact: where a norm has no gradient.
     position[1], velocity[1], control[1] = position[1, :1], 0.0, 0.0
 
-    def padded(values: np.ndarray) -> jax.Array:
-        pad = ((0, 0), (0, 0), (0, 2), (0, 0))
-        return jnp.asarray(np.pad(values, pad, constant_values=padding), jnp.float32)
-
-    return Window(
-        padded(position),
-        padded(velocity),
-        jnp.asarray(control, jnp.float32),
-        nodes(2, [True] * 3 + [False] * 2),
-    )
+    pad = ((0, 0), (0, 0), (0, 2), (0, 0))
+    states = (np.pad(each, pad, constant_values=padding) for each in (position, velocity))
+    return window_of(*states, control, [True] * 3 + [False] * 2)
 
 
 def test_the_gradient_is_finite_and_padding_changes_nothing() -> None:

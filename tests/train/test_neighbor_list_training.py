@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from training import window_of
 
-from contactgraph.data import pair_indices
-from contactgraph.model import ContactDynamics, ModelConfig, NeighborList, Nodes, gim_temp
+from contactgraph.model import ContactDynamics, ModelConfig, NeighborList, gim_temp
 from contactgraph.train import LossTerms
 from contactgraph.train import loss as chunked_vmap
 from contactgraph.train.batch import Window
@@ -23,17 +23,7 @@ def windows() -> Window:
     rng = np.random.default_rng(0)
     velocity = np.repeat(rng.normal(size=(2, 1, COUNT, 2)), STEPS + 1, axis=1)
     position = rng.uniform(-0.4, 0.4, (2, 1, COUNT, 2)) + 0.05 * np.cumsum(velocity, axis=1)
-    pairs = len(pair_indices(COUNT))
-    return Window(
-        position=jnp.asarray(position, jnp.float32),
-        velocity=jnp.asarray(velocity, jnp.float32),
-        control=jnp.asarray(rng.normal(size=(2, STEPS, 2)), jnp.float32),
-        nodes=Nodes(
-            actuated=jnp.tile(jnp.arange(COUNT) == 0, (2, 1)),
-            mask=jnp.ones((2, COUNT), bool),
-            candidate=jnp.ones((2, pairs), bool),
-        ),
-    )
+    return window_of(position, velocity, rng.normal(size=(2, STEPS, 2)))
 
 
 @eqx.filter_jit

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import ModelConfig, Nodes, gim_temp
 from contactgraph.model.serialization import module_arrays
 from contactgraph.train import (
     FitProgress,
@@ -22,6 +23,7 @@ from contactgraph.train import (
     fit,
     initial_state,
 )
+from contactgraph.train.batch import Window
 
 CONFIG = TrainConfig(
     steps=12, batch_size=4, window_length=3, rollout_from=0.3, check_every=4, patience=12
@@ -33,6 +35,18 @@ BASELINES = HeldOutBaselines(constant_velocity_rmse_m=2.0, standing_still_rmse_m
 
 class Enough(Exception):
     """Ends a training after a check."""
+
+
+def window_of(position, velocity, control, mask: list[bool] | None = None) -> Window:
+    """Windows of states [B, T+1, N, D]: the first body is actuated, all pairs are candidates."""
+    batch, _, count, _ = np.shape(position)
+    nodes = Nodes(
+        actuated=jnp.broadcast_to(jnp.arange(count) == 0, (batch, count)),
+        mask=jnp.broadcast_to(jnp.asarray(mask or [True] * count), (batch, count)),
+        candidate=jnp.ones((batch, count * (count - 1) // 2), bool),
+    )
+    states = (jnp.asarray(each, jnp.float32) for each in (position, velocity, control))
+    return Window(*states, nodes)
 
 
 def split(path: Path) -> tuple[Dataset, Dataset]:

@@ -12,7 +12,7 @@ from test_report_browser import screenshot
 from test_report_page import bare
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.viz import ReportData, SceneTrajectory, write_animation, write_summary_figure
+from contactgraph.viz import ReportData, SceneTrajectory
 from contactgraph.viz.report import embedded_json
 from contactgraph.viz.scene_picture import bar_corners, draw_scene, scene_limits
 
@@ -71,12 +71,6 @@ def test_bars_are_drawn_and_inside_the_picture(doors):
     # One node's bar does not change what others are.
     draw_scene(bare_axes := Figure().add_subplot(), changed(doors, anchor=None), 0)
     assert not [one for one in bare_axes.get_children() if isinstance(one, Polygon)]
-
-
-def test_still_and_film(tmp_path, doors):
-    write_summary_figure(tmp_path / "still.png", doors)
-    write_animation(tmp_path / "scene.gif", changed(doors, plan=None))
-    assert min(each.stat().st_size for each in tmp_path.iterdir()) > 5000
 
 
 def test_the_page_knows_the_hinges(doors, scene):

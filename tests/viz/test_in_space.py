@@ -12,11 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
-from synthetic_pickup import changed
-from synthetic_sweep import BLOCK_SIZE, GOAL, GRASP, STEPS, sweep, sweep_trajectory
+from synthetic_pickup import BLOCK_SIZE, GOAL, GRASP, STEPS, changed, sweep, sweep_trajectory
 from test_report_browser import pixels_of, screenshot
 
-from contactgraph.data import InvalidInputError, read_trajectories, write_trajectories
+from contactgraph.data import read_trajectories, write_trajectories
 from contactgraph.viz import ReportData, SceneTrajectory, write_animation, write_summary_figure
 from contactgraph.viz.projection import projection_of
 from contactgraph.viz.report import embedded_json
@@ -186,18 +185,6 @@ def test_a_stored_trajectory_is_drawn_as_recorded(tmp_path):
     scene = dataclasses.replace(scene, size=None)
     bare = SceneTrajectory("bare", dataclasses.replace(found, scene=scene), edges, belief)
     assert bare.radius.tolist() == [0.04] * 3 and bare.box(1) is None
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("belief", np.zeros((100, 2)), r"belief must have shape \(100, 6\), found \(100, 2\)"),
-        ("stiffness", np.zeros((100, 4)), r"stiffness must have shape \(100, 4, 3\)"),
-    ],
-)
-def test_wrong_shapes_are_named(scene, field, value, message):
-    with pytest.raises(InvalidInputError, match=f"'Sweep': {message}"):
-        dataclasses.replace(scene, **{field: value})
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the chromium browser")

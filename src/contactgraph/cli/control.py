@@ -41,7 +41,7 @@ demonstrations made: a plan that ends before their benefit would hover before th
 _RECORDED = (
     *("cost", "horizon", "iterations", "starts", "routes", "segment", "clearance", "replan_every"),
     *("false_alarms", "misses", "delay", "unmeasured"),
-    *("position_noise", "velocity_noise", "infer_contacts", "told_masses"),
+    *("position_noise", "velocity_noise", "infer_contacts"),
 )
 """Options that only a model takes; the JSON file repeats them."""
 _ROUTES = 7
@@ -114,8 +114,6 @@ class Control:
     """Correct the contact beliefs by the observed motion, too. This is the default."""
     ignore_motion: bool = False
     """Correct the contact beliefs by measured contacts alone."""
-    told_masses: bool = False
-    """Tell the controller the mass of every body, which it else infers from motion."""
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None
@@ -202,7 +200,6 @@ class Control:
                 deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
                 faults=faults,
                 measured=not self.unmeasured,
-                told_masses=self.told_masses,
                 noise=noise,
                 motion_noise=by_motion,
                 on_episode=on_episode,

@@ -43,8 +43,6 @@ class Evaluate:
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
-    known_rates: bool = True
-    """Whether the correction knows the errors and the delay that the three flags before give."""
     infer_contacts: bool = False
     """Correct beliefs by the observed motion, too. This is the default."""
     ignore_motion: bool = False
@@ -73,7 +71,6 @@ class Evaluate:
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
-        from contactgraph.model import default_sensor
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
@@ -91,7 +88,6 @@ class Evaluate:
             model,
             dataset,
             horizon_s=self.horizon,
-            sensor=None if self.known_rates else default_sensor(model),
             faults=faults,
             motion_noise=noise,
             baselines={} if fitted is None else fitted.predictions,
@@ -107,7 +103,6 @@ class Evaluate:
             "false_alarms": self.false_alarms,
             "misses": self.misses,
             "delay": self.delay,
-            "known_rates": self.known_rates,
             "infer_contacts": noise is not None,
             "inference": self.inference,
             "contact_distance_m": contact_distance(model),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, Device, ModelArgument, OutputFile
+from contactgraph.cli.options import AUTO, Device, ModelArgument
 
 if TYPE_CHECKING:
     from contactgraph.cli.task_types import KnownTask
@@ -46,8 +46,6 @@ class LearnCost:
     """Weight of the prior towards independent cost terms and equal axes; 0: no prior."""
     without_contacts: bool = False
     """Learn Q and R alone, not what contacts that the demonstrations keep are worth."""
-    picture: OutputFile = None
-    """Write a picture of the cost to this file (.png)."""
     device: Device = AUTO
 
     def run(self) -> None:
@@ -66,12 +64,9 @@ class LearnCost:
         )
         from contactgraph.control import ControlLimits, CostLearningConfig, learn_cost, write_cost
         from contactgraph.data import InvalidInputError
-        from contactgraph.viz import write_cost_picture
 
         check_suffix("--out", self.out, ".json")
-        check_suffix("--picture", self.picture, ".png")
-        for path in (self.out, self.picture):
-            check_writable(path)
+        check_writable(self.out)
         if self.horizon is not None:
             check_range("--horizon", self.horizon, 1, 1000)
         check_range("--steps", self.steps, 1, 1_000_000)
@@ -127,14 +122,10 @@ class LearnCost:
             **provenance(),
         }
         write_cost(self.out, cost, origin)
-        if self.picture is not None:
-            write_cost_picture(self.picture, cost)
         for line in cost_lines(cost):
             print(line)
         many = f"{len(dataset)} demonstrations" if len(dataset) > 1 else "1 demonstration"
         print(f"{self.out}: learned from {many} in {seconds:.1f} s")
-        if self.picture is not None:
-            print(f"{self.picture}: the cost as a picture")
 
     def _dataset(self) -> "Dataset":
         """The demonstrations, checked as far as that needs no model."""

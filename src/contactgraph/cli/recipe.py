@@ -9,7 +9,6 @@ from contactgraph.cli.options import AUTO
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
-    from contactgraph.data.impact_fit import Impacts
     from contactgraph.model import ContactDynamics, ModelConfig
     from contactgraph.train.units import Units
 
@@ -84,18 +83,15 @@ class Recipe:
                 )
                 or "not seen",
                 "impacts": ", ".join(
-                    f"{one} on {other} {_law(law)}" for (one, other), law in config.impacts.items()
+                    f"{one} on {other} bounce {law.bounce:.2g}"
+                    + ("" if law.friction is None else f", friction {law.friction:.2g}")
+                    for (one, other), law in config.impacts.items()
                 )
                 or "not seen",
                 "velocities": "means over a step" if config.averaged else "at the end of a step",
                 "unit of length": f"{self.units.length:g} of the data's",
             }
         return [f"  {name:<17} {text}" for name, text in rows.items()]
-
-
-def _law(law: "Impacts") -> str:
-    friction = "" if law.friction is None else f", friction {law.friction:.2g}"
-    return f"bounce {law.bounce:.2g}{friction}"
 
 
 def recipe(

@@ -86,16 +86,6 @@ class Plan(eqx.Module):
         """The status as an enumeration, outside compiled functions."""
         return PlanStatus(int(self.status))
 
-    @property
-    def doubt(self) -> float:
-        """The largest probability, of any edge at any step, that it is not in the more probable of
-        its states, active or inactive: 0 to 1/2, outside compiled functions.
-
-        The plan counts on the mean of both.
-        """
-        active = np.asarray(self.beliefs.probability)
-        return float(np.max(np.minimum(active, 1.0 - active), initial=0.0))
-
     def with_status(self, status: PlanStatus) -> "Plan":
         """The same plan under another status."""
         return replace(self, status=jnp.asarray(status, dtype=self.status.dtype))

@@ -147,7 +147,8 @@ def _write_metadata(where: str, group: h5py.Group, metadata: Metadata) -> None:
 def _fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
     """[N] UTF-8 of fixed length, because texts of variable length are stored without checksum."""
     for text in texts:
-        if not isinstance(text, str) or "\0" in text or not _is_unicode(text):
+        # Lone surrogates are no characters, and have no UTF-8.
+        if not isinstance(text, str) or any(c == "\0" or "\ud800" <= c <= "\udfff" for c in text):
             raise InvalidInputError(f"{where}: must be Unicode without NUL, found {text!r}")
     encoded = [text.encode("utf-8") for text in texts]
     length = max([1, *(len(text) for text in encoded)])
@@ -156,8 +157,3 @@ def _fixed_texts(where: str, texts: tuple[str, ...]) -> np.ndarray:
 
 def _fixed_text(where: str, text: str) -> np.ndarray:
     return _fixed_texts(where, (text,)).reshape(())
-
-
-def _is_unicode(text: str) -> bool:
-    """Lone surrogates are no characters, and have no UTF-8."""
-    return not any("\ud800" <= letter <= "\udfff" for letter in text)

@@ -15,6 +15,8 @@ _PLACES, _IN_TURN = 1e-3, 0.1
 """m: the least step between places, and of it, up to which positions are of the same place."""
 _TURNING, _COARSE = 0.01, 0.5
 """rad: the least step of a body that turns, and the median of such steps that looks odd."""
+_FEW, _MOST = 5, 0.8
+"""Waits between moves that are too few to tell, and the share of equal ones that tells."""
 _OTHER_RATE = 2.0
 """Times the rate of the poses, from which on a recorded turn rate is another."""
 _TURNS = 0.5
@@ -42,8 +44,8 @@ class BodyMotion:
     """Steps of more than ten times those before and after, and the median of moving ones."""
     turn_jumps: int
     """The same of turns."""
-    alternates: bool
-    """Whether positions come in turn from two to four places, as rows of several bodies do."""
+    pattern: str
+    """What rows that are no measurements each look like; empty: nothing."""
     turn: float
     """rad: the median of the steps in which the body turns; 0: it does not."""
     rate_ratio: float
@@ -84,7 +86,7 @@ def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
             )
     for each in motions:
         signs = {
-            f"positions of {each.name} alternate: are rows of several bodies?": each.alternates,
+            f"positions of {each.name} {each.pattern}": each.pattern,
             f"{each.name} turns by {each.turn:.3g} rad in a step and more: are angles in degrees, "
             "which need a scale?": each.turn > _COARSE,
             f"turn rates contradict orientations: those of {each.name} are {each.rate_ratio:.3g} "
@@ -98,7 +100,7 @@ def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
 def _motion(dataset: Dataset, name: str) -> BodyMotion:
     fastest, rate, largest, jumps = 0.0, [], (0.0, 0, 0.0), 0
     turn_jumps, turned, integral, drift = 0, 0.0, 0.0, 0.0
-    alternates, turns, tracked = False, list[np.ndarray](), list[np.ndarray]()
+    pattern, turns, tracked = "", list[np.ndarray](), list[np.ndarray]()
     for index, each in enumerate(dataset):
         if name not in each.scene.node_name:
             continue
@@ -108,7 +110,7 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         largest = max(largest, (float(steps[at]), index, dt * (at + 1)))
         fastest = max(fastest, float(steps[at]) / dt)
         jumps += _jumps(steps)
-        alternates |= _alternate(each.position[:, node])
+        pattern = pattern or _pattern(each.position[:, node], steps)
         if each.orientation is not None:
             turn = each.orientation[:, node]
             turn = turn if turn.shape[1] == 1 else rotation_vectors(turn)
@@ -131,17 +133,23 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
     top = max(rate, default=None)
     usual = float(np.median(np.concatenate(turns))) if any(map(len, turns)) else 0.0
     return BodyMotion(
-        *(name, fastest, top, *largest, jumps, turn_jumps, alternates, usual, ratio, drift, lost)
+        *(name, fastest, top, *largest, jumps, turn_jumps, pattern, usual, ratio, drift, lost)
     )
 
 
-def _alternate(position: np.ndarray) -> bool:
-    """Whether positions [T+1, D] return after two to four steps, again and again."""
+def _pattern(position: np.ndarray, steps: np.ndarray) -> str:
+    """The sign that positions [T+1, D] return after two to four steps [T], or stand for some."""
+    waits = np.diff(np.flatnonzero(steps > 0.0))
+    usual = float(np.median(waits)) if len(waits) > _FEW else 1.0
+    if usual > 1.0 and np.mean(waits == usual) > _MOST:
+        return f"change in every {usual:g} steps alone: are rows filled up?"
     one, *others = (
         np.median(np.linalg.norm(position[lag:] - position[:-lag], axis=1))
         for lag in range(1, min(5, len(position)))
     )
-    return bool(len(others) == 3 and one > _PLACES and min(others) < _IN_TURN * one)
+    if len(others) == 3 and one > _PLACES and min(others) < _IN_TURN * one:
+        return "alternate: are rows of several bodies?"
+    return ""
 
 
 def _jumps(steps: np.ndarray) -> int:

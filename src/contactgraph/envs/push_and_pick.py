@@ -126,7 +126,8 @@ class PushPolicy:
             aim = at + 1.1 * style.clearance * side
         else:
             aim = at - style.clearance * along + self._aside * across
-        return _limited(2.0 * style.approach * (aim - hand), style.speed)
+        velocity = 2.0 * style.approach * (aim - hand)
+        return velocity * (style.speed / max(style.speed, float(np.linalg.norm(velocity))))
 
 
 class RandomPushes:
@@ -157,11 +158,6 @@ class RandomPushes:
             self._direction = np.zeros(position.shape[1])
             self._direction[:2] = np.cos(angle), np.sin(angle)
         return self._push.towards(position, position[self._object] + self._direction)
-
-
-def _limited(velocity: np.ndarray, speed: float) -> np.ndarray:
-    size = float(np.linalg.norm(velocity))
-    return velocity if size <= speed else velocity * (speed / size)
 
 
 _ABOVE = 0.08

@@ -75,7 +75,9 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     gained = dt * np.cumsum(acceleration, axis=1)
     # Velocity gained in earlier steps moves the body for the whole of this one.
     before = gained - dt * acceleration
-    moved = np.cumsum(dt * before + _theta(_substeps(trajectory)) * dt**2 * acceleration, axis=1)
+    count = _substeps(trajectory)
+    theta = 0.5 if count is None else (count + 1) / (2 * count)
+    moved = np.cumsum(dt * before + theta * dt**2 * acceleration, axis=1)
     straight = constant_velocity(trajectory, steps) + moved
     straight[:, :, static] = trajectory.position[:starts, None, static]
     if not hinged:
@@ -121,10 +123,6 @@ def _substeps(trajectory: Trajectory) -> int | None:
     if not isinstance(substeps, int | np.integer) or substeps < 1:
         return None
     return int(substeps)
-
-
-def _theta(substeps: int | None) -> float:
-    return 0.5 if substeps is None else (substeps + 1) / (2 * substeps)
 
 
 _SUBSTEPS = 10

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, cast
 
 import gymnasium
@@ -37,8 +36,6 @@ from contactgraph.model import (
     MotionNoise,
     StepModel,
     default_sensor,
-    nodes_with_told_masses,
-    scene_nodes,
     turn_length_of,
 )
 from contactgraph.model.filter import check_fit
@@ -110,7 +107,6 @@ def mpc_policy(
     measured: bool = True,
     noise: ObservationNoise = _NOISELESS,
     motion_noise: MotionNoise | None = None,
-    told_masses: bool = False,
     node_capacity: int = 0,
 ) -> MPCPolicy:
     """The controller of `control_task`, for a task whose reset gave ``observation``.
@@ -124,8 +120,7 @@ def mpc_policy(
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
     assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
-    ``motion_noise`` is `MPC`'s: with it, beliefs are also corrected by the observed motion, to
-    which ``noise`` is added. With ``told_masses`` bodies weigh for it what the scene tells.
+    ``motion_noise`` is `MPC`'s; ``noise`` is added to the observed motion.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
     control, a number is out of range, or there are more than one of switches, ``starts``,
@@ -185,8 +180,7 @@ def mpc_policy(
             f"the cost is for control size U {size}, but the task has {control_size}; they must "
             "agree"
         )
-    nodes_of = partial(nodes_with_told_masses, model) if told_masses else scene_nodes
-    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, nodes_of)
+    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
 
 
 def control_by_policy(

@@ -2,7 +2,6 @@
 
 import copy
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,7 +20,7 @@ from contactgraph.evaluate.plan_tracking import (
 )
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
 from contactgraph.evaluate.task_cost import SceneCost
-from contactgraph.model import ContactBelief, Nodes, scene_nodes
+from contactgraph.model import ContactBelief, scene_nodes
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
@@ -57,7 +56,6 @@ class MPCPolicy:
         faults: SensorFaults = _EXACT,
         measured: bool = True,
         noise: ObservationNoise = _NOISELESS,
-        nodes_of: Callable[[Scene, int], Nodes] = scene_nodes,
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
@@ -65,7 +63,7 @@ class MPCPolicy:
         hold each other, since an edge of the model joins nodes that move together. ``faults``
         corrupts the contacts that the controller observes; without ``measured`` it observes none.
         ``noise`` is added to the motion that it plans from, not to the motion that feedback within
-        a step uses. ``nodes_of`` gives the nodes of a scene, padded to a capacity.
+        a step uses.
         """
         self._mpc = mpc
         self._cost = cost
@@ -76,7 +74,6 @@ class MPCPolicy:
         self._measured = measured
         self._noise = noise
         self._noise_rng = noise.begin(0)
-        self._nodes_of = nodes_of
         self._sensor: FaultySensor | None = None
         self._scene: Scene | None = None
         self._state: Any = None
@@ -115,7 +112,7 @@ class MPCPolicy:
                 raise InvalidInputError("call reset(scene, seed) first")
             self._begin(self._scene, observation["position"])
             observation = self._about_origin(observation)
-            nodes = self._nodes_of(self._scene, self._capacity)
+            nodes = scene_nodes(self._scene, self._capacity)
             self._state = self._mpc.reset(observation, nodes, self._scene_cost)
         else:
             observation = self._about_origin(observation)

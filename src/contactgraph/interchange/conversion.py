@@ -1,5 +1,6 @@
 """Recordings to trajectories, by an import map."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -45,6 +46,7 @@ def to_trajectories(
     dt = scene_map.dt or recording.dt
     found: list[Trajectory] = []
     lost: list[str] = []
+    doubts: set[str] = set()
     resampled: list[float] = []
     left = 0
     for episode in recording.episodes:
@@ -54,7 +56,9 @@ def to_trajectories(
                     f"{scene_map.where}: the time of a step must be given, [time] dt = s; "
                     f"--inspect suggests one"
                 )
-            parts, seconds = _converted(MappedEpisode(episode, scene_map, dt, recording.dt))
+            mapped = MappedEpisode(episode, scene_map, dt, recording.dt)
+            parts, seconds = _converted(mapped)
+            doubts.update(_doubts(mapped))
             kept = [_within_bounds(each, scene_map) for each in parts]
         except InvalidInputError as error:
             name = f"{episode.name}: " * (len(recording.episodes) > 1)
@@ -65,7 +69,7 @@ def to_trajectories(
         left += sum(each is not part for each, part in zip(kept, parts, strict=True))
     if not found:
         raise InvalidInputError(
-            f"{recording.where}: no step in which all bodies are known and in their bounds"
+            f"{recording.where}: no step of dt = {dt:g} s in which all is known and in its bounds"
         )
     there = {name: None for each in recording.episodes for name in (*each.columns, *each.others)}
     used = set.union(*(each.used for each in recording.episodes))
@@ -75,6 +79,7 @@ def to_trajectories(
         f"not used: {', '.join(unused[:_SHOWN])}{more}": unused,
         f"left out, without a step in which all is known: {', '.join(lost)}": lost,
         f"{left} end, or are left out, where a body leaves its bounds": left,
+        **dict.fromkeys(sorted(doubts), True),
         f"{len(resampled)} episodes with gaps or uneven stamps were resampled, and cut at gaps of "
         f"more than {scene_map.max_gap:g} s; {sum(resampled):.3g} s are left out, in which not all "
         "bodies and controls are known": resampled,
@@ -118,8 +123,8 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
         return [_trajectory(mapped, tracks, rows, None)], None
     if apart > mapped.map.max_gap:
         raise InvalidInputError(
-            f"rows are {apart:g} s apart, but max_gap is {mapped.map.max_gap:g} s; times in ms or "
-            "another unit need [time] columns with a scale"
+            f"rows are {apart:g} s apart, but max_gap is {mapped.map.max_gap:g} s; times in ms, us "
+            "or ns need [time] columns with a scale"
         )
     for name, track in tracks.items():
         if len(track.times) == 1 < states:
@@ -163,6 +168,27 @@ def _check_frames(scene_map: SceneMap, tracks: dict[str, Track]) -> None:
             f"{scene_map.where}: positions must be in one frame, found {found}; "
             'in_frame_of = "BODY" is for a pose in the frame of another body'
         )
+
+
+def _doubts(mapped: MappedEpisode) -> Iterator[str]:
+    """Lines about controls that are in another frame than the positions, or have gaps."""
+    found, episode = mapped.map, mapped.episode
+    frames = {body.position.read(episode).frame for body in found.bodies} - {""}
+    for pair in (*found.contact, *found.holding):
+        _, values = finite_rows(mapped, pair.entries)
+        where, names, low, high = pair.entries.where, pair.entries.names, values.min(), values.max()
+        if low < 0.0 or high > 1.0:
+            raise InvalidInputError(f"{where}: {names} must be 0 to 1, found {low:g} to {high:g}")
+        if 0.0 < high <= 0.5:
+            yield f"{where}: {names} is never above 0.5, from where on bodies count as touching"
+    for each in found.controls:
+        where, frame = each.entries.where, each.entries.read(episode).frame
+        if frame and frames and frame not in frames:
+            others = ", ".join(sorted(frames))
+            yield f"{where} is in the frame {frame}, positions in {others}: do these not turn?"
+        times, _ = finite_rows(mapped, each.entries)
+        if np.diff(times).max(initial=0.0) > found.max_gap:
+            yield f"{where} has gaps of more than {found.max_gap:g} s, in which it holds"
 
 
 def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:

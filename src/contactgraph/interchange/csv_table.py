@@ -32,13 +32,15 @@ _LARGEST_FILE = 2**31
 _MOST_COLUMNS = 10_000
 _HEADER_ROWS = 20
 _TIME = re.compile(
-    r"[%_]*(?:t|(?i:time(?:stamp)?|elapsed|seconds)"
+    r"[%_]*(?:t|(?i:time(?:stamp)?|elapsed|seconds|temps|tiempo|zeit)"
     r"(?:[ _]*[(\[]?(?P<unit>s|sec|seconds|ms|us|ns)[)\]]?)?)"
 )
-_LIKE_TIME = re.compile(r"(?i:time|stamp|date|clock)")
+_LIKE_TIME = re.compile(r"(?i:time|stamp|date|clock|temps|tiempo|zeit)")
 _SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FRAMES = ("frame", "frame_index", "frame_number")
 _EPISODE = "episode"
+_ENDS = ("terminated", "truncated", "terminal", "done", "terminations", "truncations", "dones")
+"""Columns that tell the last row of an episode."""
 _QUATERNION_PART = re.compile(r"(?i:(?:.*[._ ]q?|q)[wxyz])")
 _NEXUS = ("Trajectories", "Segments", "Joints", "Devices", "Model Outputs")
 _MOTIVE_UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
@@ -58,10 +60,10 @@ class _Table:
         return InvalidInputError(f"{self.path}: {reason}")
 
     def read(
-        self, width: int, kept: Sequence[int] = ()
+        self, width: int, kept: Sequence[int] = (), blank: bool = True
     ) -> tuple[np.ndarray, dict[int, str], dict[int, list[str]]]:
         """Numbers [S, W], NaN for empty fields and texts; the first text of each column that has
-        one; and all fields of the columns ``kept``."""
+        one; and all fields of the columns ``kept``. ``blank``: rows with nothing count."""
         if width > _MOST_COLUMNS:
             raise self.error(f"must have at most {_MOST_COLUMNS} columns")
         found: list[np.ndarray] = []
@@ -70,7 +72,7 @@ class _Table:
         marks: set[str] = set()
         end = 0
         for number, row in enumerate(self.rows, start=1):
-            if not row or (kept and not any(row)):
+            if not row or not (blank or any(row)):
                 continue
             while len(row) > width and not row[-1].strip():
                 row.pop()
@@ -95,12 +97,12 @@ class _Table:
 
 
 def _number(text: str, decimal_comma: bool = True) -> float | None:
-    """NaN for an empty field, None for a text."""
+    """NaN for an empty field, None for a text other than true and false."""
     try:
         text = text.replace(",", ".") if decimal_comma else text
         return float(text.replace("_", "text")) if text.strip() else np.nan  # 1_5 is a text
     except ValueError:
-        return None
+        return {"true": 1.0, "false": 0.0}.get(text.strip().lower())
 
 
 def read_csv(source: Path) -> Recording:
@@ -143,13 +145,15 @@ def _read_file(path: Path) -> tuple[list[Episode], set[float | None]]:
             else:
                 break
         delimiter = delimiter or max(",;\t", key=first.count)
+        if delimiter not in first and " " in first and first.strip() not in _NEXUS:
+            delimiter = " "
         rows = csv.reader(chain([first], file), delimiter=delimiter, skipinitialspace=True)
         table = _Table(path, rows, delimiter != ",")
         if first.lstrip('"').startswith("Format Version"):
             return _motive(table)
         if first.strip(f'"\r\n{delimiter}') in _NEXUS:
             return _nexus(table)
-        return _plain(table, comment.split(delimiter)), {None}
+        return _plain(table, comment.strip().split(delimiter)), {None}
 
 
 def _plain(table: _Table, comment: list[str]) -> list[Episode]:
@@ -159,7 +163,7 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
     if numbers and None not in map(_number, numbers):
         if not len(comment) == len(row) == len(numbers):
             raise table.error(
-                "must begin with a line of names, separated by commas, semicolons or tabs, "
+                "must begin with a line of names, separated by a comma, semicolon, tab or space, "
                 f"found numbers: {numbers[0][:30]!r}"
             )
         table, row = replace(table, rows=chain([row], table.rows)), comment
@@ -174,7 +178,8 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
     time = min(clocks, key=lambda index: (names[index].lower() != "time", index), default=None)
     label = next((index for index, name in enumerate(names) if name.lower() == _EPISODE), None)
     kept = [index for index in (time, label) if index is not None]
-    values, texts, fields = table.read(len(names), kept)
+    ends = [index for index, name in enumerate(names) if label is None and name.lower() in _ENDS]
+    values, texts, fields = table.read(len(names), kept + ends, blank=not kept)
     stamps, no_times = None, ""
     if time is not None:
         scale = _SECONDS.get(clocks[time]["unit"], 1.0)
@@ -191,7 +196,10 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
     axes = {name: name[-1].lower() for name in names if _QUATERNION_PART.fullmatch(name)}
     there = {name: index for index, name in enumerate(names) if index not in texts}
     frame = next((there[name] for name in _FRAMES if name in there), None)
-    labels = [""] * len(values) if label is None else fields[label]
+    ended = np.zeros(len(values), dtype=int)
+    for index in ends:
+        ended |= [each.strip().lower() in ("true", "1", "1.0") for each in fields[index]]
+    labels = list(map(str, np.cumsum(ended) - ended)) if label is None else fields[label]
     if any(labels) and not all(labels):
         blank = labels.index("") + 1
         raise table.error(f"{_EPISODE} must be in every row of numbers, found none in row {blank}")
@@ -218,20 +226,21 @@ def _plain(table: _Table, comment: list[str]) -> list[Episode]:
         elif stamps is None:
             lack = no_times or _unused_times(names, values[rows], texts)
         title = table.path.name + f": {_EPISODE} {text}" * bool(text and len(rows_of) > 1)
-        used = {names[index] for index in kept}
+        used = {names[index] for index in kept + ends}
         episodes.append(Episode(title, columns, others, lack, used, steps))
     return episodes
 
 
 def _unused_times(names: list[str], values: np.ndarray, texts: dict[int, str]) -> str:
-    """Why rows [S, W] are not taken as even: a column may be their times; empty without one."""
+    """Why rows [S, W] are not taken as even: a column may time or count them; empty: none does."""
     for index, name in enumerate(names):
         apart = np.diff(values[:, index])
-        uneven = np.all(apart > 0.0) and not np.allclose(apart, apart[:1], rtol=0.01)
-        if _LIKE_TIME.search(name) and (uneven or index in texts):
+        uneven = np.all(apart >= 0.0) and not np.allclose(apart, apart[:1], rtol=0.01)
+        counts = uneven and np.all(apart % 1.0 == 0.0) and apart.min() == 1.0 == np.median(apart)
+        if counts or (_LIKE_TIME.search(name) and (uneven or index in texts)):
             return (
-                f"column {name!r} may be uneven times: name it time, in s or as ISO 8601 texts, "
-                "give [time] columns, or leave it out"
+                f"column {name!r} may time or count uneven rows: name it time (s, or ISO 8601 "
+                "texts) or frame, give [time] columns, or leave it out"
             )
     return ""
 

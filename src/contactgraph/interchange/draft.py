@@ -10,9 +10,7 @@ from contactgraph.interchange.recording import Column, Recording
 from contactgraph.interchange.scene_map import parse_map, shipped_map_text, shipped_maps
 
 _POSITION = re.compile(r"(?P<body>.+?)\.(?:pose\.|transform\.)*(?:position|translation)")
-_AXIS = re.compile(
-    r"(?P<body>.*?)[._ ]?(?:pos(?:ition)?)?(?:(?:^|[._ ])(?P<axis>[xyzXYZ])|\[(?P<index>[012])\])"
-)
+_AXIS = re.compile(r"(.*?)[._ ]?(?:pos(?:ition)?)?(?:^|[._ [])([xyzXYZ]|[0-2](?=]))]?")
 _CONTROL = re.compile(r"(?:.*[./_])?(?:actions?|controls?|commands?|cmd|force|wrench)(?:[./_].*)?")
 _NO_BODY = re.compile(r"(?:.*[._ ])?(?:goal|vel(?:ocity)?|acc(?:eleration)?|rot(?:ation)?)")
 
@@ -75,8 +73,7 @@ def _bodies(columns: dict[str, Column]) -> tuple[int, dict[str, list[str]]]:
         if width in (2, 3) and "Marker)" not in name and (match := _POSITION.fullmatch(name)):
             found[match["body"]] = [name]
         elif width == 1 and (match := _AXIS.fullmatch(name)):
-            axis = (match["axis"] or match["index"]).lower()
-            axes.setdefault(match["body"] or "body", {})[axis] = name
+            axes.setdefault(match[1] or "body", {})[match[2].lower()] = name
     for body, each in axes.items():
         if not (_CONTROL.fullmatch(body.lower()) or _NO_BODY.fullmatch(body.lower())):
             found.setdefault(body, [each[axis] for axis in sorted(each)])

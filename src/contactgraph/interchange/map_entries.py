@@ -1,5 +1,6 @@
 """Entries of import maps: columns of a recording with their scale and offset."""
 
+import re
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,11 @@ from contactgraph.data.json_fields import JsonFields
 from contactgraph.interchange.recording import Column, Episode
 
 _T = TypeVar("_T")
+_LARGEST = 1e300
+_SI = {"mm": 1e-3, "cm": 1e-2, "km": 1e3, "mN": 1e-3, "deg": np.pi / 180, "degrees": np.pi / 180}
+_SI |= dict.fromkeys(("px", "latitude", "longitude"), np.nan)
+"""SI units per unit that a name tells; NaN where that depends."""
+_UNIT = re.compile(rf"(?:^|[^A-Za-z])({'|'.join(_SI)})(?:/s)?[)\]]?(?:\[|$)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,29 +25,46 @@ class Entries:
     """Numbers of a recording: ``scale * columns + offset``, or constant ones."""
 
     where: str
-    columns: tuple[str, ...] = ()
+    columns: tuple[str | float, ...]
+    """Columns of the recording, and numbers that stand for constant ones."""
     scale: np.ndarray = field(default_factory=lambda: np.ones(1))
     offset: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    constant: np.ndarray | None = None
+
+    @property
+    def names(self) -> str:
+        """Of the columns, for people."""
+        return ", ".join(map(str, self.columns))
+
+    @property
+    def constant(self) -> bool:
+        """Whether nothing is recorded."""
+        return not any(isinstance(each, str) for each in self.columns)
 
     def read(self, episode: Episode, *widths: int, missing: float | None = None) -> Column:
         """Of one of these widths, if any are given; constant ones have one row. Rows of which all
         recorded numbers are ``missing`` are NaN.
         """
-        if self.constant is not None:
-            found = Column(self.constant[None])
-        else:
-            try:
-                parts = [episode.column(each) for each in self.columns]
-            except InvalidInputError as error:
-                raise InvalidInputError(f"{self.where}: {error}") from error
-            first = parts[0]
-            if any(not same_times(each, first) for each in parts[1:]):
-                raise InvalidInputError(f"{self.where}: columns must have the same times")
-            values = np.concatenate([each.values for each in parts], axis=1)
-            values = np.where((values == missing).all(axis=1, keepdims=True), np.nan, values)
-            axes = "".join(each.axes for each in parts)
-            found = replace(first, values=values, axes=axes)
+        try:
+            read = [episode.column(c) if isinstance(c, str) else c for c in self.columns]
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{self.where}: {error}") from error
+        columns = [each for each in read if isinstance(each, Column)]
+        first = columns[0] if columns else Column(np.zeros((1, 0)))
+        if any(not same_times(each, first) for each in columns):
+            raise InvalidInputError(f"{self.where}: columns must have the same times")
+        rows = np.ones((len(first.values), 1))
+        values = np.hstack([c.values if isinstance(c, Column) else c * rows for c in read])
+        if missing is not None:
+            recorded = np.hstack([each.values for each in columns])
+            values[(recorded == missing).all(axis=1)] = np.nan
+        axes = "".join(each.axes for each in columns)
+        found = replace(first, values=values, axes=axes)
+        for name in self.columns:
+            unit, scale = _UNIT.search(str(name)), np.abs(self.scale)
+            if unit and (np.all(scale == 1.0) or np.all(np.abs(scale / _SI[unit[1]] - 1.0) > 0.1)):
+                raise InvalidInputError(
+                    f"{self.where}: {name!r} is in {unit[1]}: scale must be {_SI[unit[1]]:.6g}"
+                )
         width = found.values.shape[1]
         if widths and width not in widths:
             wanted = " or ".join(map(str, widths))
@@ -71,9 +94,7 @@ def entries_at(table: JsonFields, name: str, further: tuple[str, ...] = ()) -> E
         return None
     if isinstance(value, dict):
         return entries_of(table.inner(name), *further)
-    if isinstance(value, list) and value and not isinstance(value[0], str):
-        return Entries(where, constant=table.numbers(name, (None,)))
-    return Entries(where, _columns(where, value))
+    return entries_of(JsonFields(where, {"columns": value}))
 
 
 def entries_of(table: JsonFields, *further: str) -> Entries:
@@ -84,15 +105,17 @@ def entries_of(table: JsonFields, *further: str) -> Entries:
     return Entries(table.where, columns, **{key: np.atleast_1d(given[key]) for key in given})
 
 
-def _columns(where: str, value: Any) -> tuple[str, ...]:
+def _columns(where: str, value: Any) -> tuple[str | float, ...]:
     found = [value] if isinstance(value, str) else value
-    texts = isinstance(found, list) and all(isinstance(each, str) and each for each in found)
-    if not texts or not found:
+    if not isinstance(found, list) or not all(
+        each if isinstance(each, str) else type(each) in (int, float) and abs(each) < _LARGEST
+        for each in found or [""]
+    ):
         raise InvalidInputError(
-            f"{where}: columns must be a text such as 'name[0:2]' or a list of them, "
+            f"{where}: columns must be a text such as 'name[0:2]', a number or a list of them, "
             f"found {reprlib.repr(value)}"
         )
-    return tuple(found)
+    return tuple(each if isinstance(each, str) else float(each) for each in found)
 
 
 def array_at(table: JsonFields, name: str) -> np.ndarray:

@@ -11,8 +11,9 @@ from contactgraph.interchange.map_entries import Entries, same_times
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import BodyMap, SceneMap, Turn
 
-STATE = ("position", "velocity", "orientation", "angular_velocity")
 _TINY = 1e-6
+_ANGLES = {"roll": "x", "pitch": "y", "yaw": "z"}
+STATE = ("position", "velocity", "orientation", "angular_velocity")
 _MISFIT = 0.2
 """Of points that are not where they should be, root mean squares, relative to their distances from
 the middle."""
@@ -72,15 +73,15 @@ class Track:
 def finite_rows(mapped: MappedEpisode, entries: Entries) -> tuple[np.ndarray, np.ndarray]:
     """Times [S] s and values [S, W] of the rows that have numbers."""
     column = entries.read(mapped.episode)
-    known = _known(column, entries.where)
+    known = _known(column, entries)
     return _times(mapped, column, known, entries.where), column.values[known]
 
 
-def _known(column: Column, where: str) -> np.ndarray:
+def _known(column: Column, entries: Entries) -> np.ndarray:
     """[S] bool: the rows that have numbers, at least one."""
     known = np.isfinite(column.values).all(axis=1)
     if not known.any():
-        raise InvalidInputError(f"{where}: must have numbers, found none")
+        raise InvalidInputError(f"{entries.where}: {entries.names} must have numbers, found none")
     return np.asarray(known)
 
 
@@ -102,7 +103,7 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
     episode, dimension = mapped.episode, mapped.map.dimension
     size = dimension if body.keypoints is None else body.keypoints.size
     position = body.position.read(episode, size, missing=body.missing)
-    known = _known(position, body.position.where)
+    known = _known(position, body.position)
     values = {"position": position.values[known]}
     if body.keypoints is not None:
         places, turns, fits = _fitted(body, values["position"], dimension)
@@ -132,7 +133,13 @@ def read_track(mapped: MappedEpisode, body: BodyMap) -> Track:
         sizes = (3,) if body.orientation.euler else (1, 4) if dimension == 2 else (4,)
         found = rows(body.orientation.entries, *sizes)
         values["orientation"] = _orientation(body.orientation, found, dimension)
-    if body.position.constant is not None or (body.static and known.sum() == 1):
+        turned = _changes_axes(body.orientation.entries, body.orientation.order)
+        if dimension == 3 and {turned, _changes_axes(body.position)} == {True, False}:
+            raise InvalidInputError(
+                f"{body.name}: position and orientation must be about the same axes, but one of "
+                "them changes their order or sign"
+            )
+    if body.position.constant or (body.static and known.sum() == 1):
         return Track(np.zeros(0), values, "")
     return Track(_times(mapped, position, known, body.position.where), values, position.frame)
 
@@ -175,14 +182,15 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     euler = turn.euler if turn.euler.isupper() else turn.euler[::-1].upper()  # the same turns
     recorded = axes if sorted(axes) == list("wxyz") or axes.isupper() else ""
     given = euler or turn.order
-    certain = len(turn.entries.columns) == 1  # names of single columns may be wrong
-    if certain and given and recorded not in ("", given):
+    whole = len(turn.entries.columns) == 1  # single columns may exchange axes
+    agrees = recorded == given if whole else recorded.find("w") == given.find("w")
+    if given and recorded and not agrees:
         raise InvalidInputError(
             f"{where}: must be in the recording's order, {recorded}, found {given}"
         )
     if (recorded.isupper() or _in_degrees(turn, read[known])) and np.all(turn.entries.scale == 1.0):
         raise InvalidInputError(f"{where}: angles are recorded in degrees: scale = 0.0174533")
-    if not (given or recorded or turn.entries.constant is not None or read.shape[1] == 1):
+    if not (given or recorded or turn.entries.constant or read.shape[1] == 1):
         raise InvalidInputError(f"{where}: order must be given, wxyz or xyzw; nothing tells it")
     if not turn.euler and read.shape[1] == 1:
         if turn.order or turn.axis or turn.turned_by is not None:
@@ -190,6 +198,11 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
                 f"{where}: order, axis and turned_by are for quaternions, found an angle"
             )
         return np.where(known[:, None], read, np.nan)
+    ends = [str(each).rsplit("_")[-1].lower() for each in turn.entries.columns]
+    named = "".join(_ANGLES.get(each, "") for each in ends)
+    if turn.euler and len(named) == 3 and named != turn.euler.lower():
+        names = turn.entries.names
+        raise InvalidInputError(f"{where}: {names} must be in the order of euler, {turn.euler}")
     if turn.euler:
         from scipy.spatial.transform import Rotation  # slow to import
 
@@ -197,11 +210,14 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     else:
         found = read[known][:, [(turn.order or recorded or "wxyz").index(each) for each in "wxyz"]]
         length = np.linalg.norm(found, axis=1, keepdims=True)
-        wrong = np.flatnonzero(~(length[:, 0] > _TINY))
+        off = np.abs(length[:, 0] - 1.0) > 0.1
+        wrong = np.flatnonzero(
+            off if len(found) > 1 else length[:, 0] < _TINY
+        )  # one may be a sample
         if len(wrong):
-            row = np.flatnonzero(known)[wrong[0]]
+            row, size = np.flatnonzero(known)[wrong[0]], float(length[wrong[0], 0])
             raise InvalidInputError(
-                f"{where}: quaternions must not be zero, found one in row {row}"
+                f"{where}: quaternions must have length 1, found {size:.3g} in row {row}"
             )
         found = found / length
     if turn.turned_by is not None and len(found):
@@ -214,9 +230,21 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     return every
 
 
+def _changes_axes(entries: Entries, order: str = "") -> bool | None:
+    """Whether columns of x, y and z, or of 0, 1 and 2, are in another order or negated; None: their
+    names do not tell. ``order`` is that of a quaternion."""
+    ends = [str(each).rstrip("]")[-1].lower() for each in entries.columns]
+    if len(ends) == 4:
+        ends = [end for end, axis in zip(ends, order, strict=False) if axis != "w"]
+    known = len(ends) == 1 or set(ends) <= set("xyz") or all(map(str.isdigit, ends))
+    if entries.constant or not (known or np.any(entries.scale < 0.0)):
+        return None
+    return bool(np.any(entries.scale < 0.0) or ends != sorted(ends))
+
+
 def _in_degrees(turn: Turn, angles: np.ndarray) -> bool:
     """Whether Euler angles [S, W] are too large for rad, or one jumps by 340 to 380."""
-    large = np.abs(angles).max(initial=0.0) > 2.1 * np.pi
+    large = len(angles) > 1 and np.abs(angles).max() > 2.1 * np.pi  # one row may be a sample
     wraps = np.abs(np.abs(np.diff(angles, axis=0)) - 360.0) < 20.0
     return bool(wraps.any() or (turn.euler and large))
 
@@ -260,7 +288,7 @@ def map_scene(mapped: MappedEpisode, widths: list[int]) -> Scene:
             given[name] = _constant(name, found)
     if found.goal is not None:
         goal = found.goal.read(mapped.episode, found.dimension)
-        given["goal"] = goal.values[_known(goal, found.goal.where)][0]
+        given["goal"] = goal.values[_known(goal, found.goal)][0]
     if any(body.static is not None for body in bodies):
         given["static"] = np.array([bool(body.static) for body in bodies])
     outlines = [(index, each) for index, body in enumerate(bodies) for each in body.polygons]

@@ -58,8 +58,14 @@ class Episode:
         """
         sliced = None if reference in self.columns else _SLICE.fullmatch(reference)
         name = sliced["name"] if sliced else reference
-        if name in self.others and reference not in self.columns:
-            raise InvalidInputError(f"column {name!r} must be numbers, found {self.others[name]}")
+        each = range(int(sliced["start"]), int(sliced["stop"] or 0)) if sliced else range(0)
+        if each and f"{name}[{each.start}]" in self.columns:  # in the names of single ones
+            parts = [self.column(f"{name}[{index}]") for index in each]
+            return replace(parts[0], values=np.hstack([part.values for part in parts]))
+        for other in self.others if reference not in self.columns else ():
+            if name == other or name.startswith(f"{other}."):
+                found = self.others[other]
+                raise InvalidInputError(f"column {name!r} must be numbers, found {found}")
         if name not in self.columns:
             there = [f"{each}[{c.values.shape[1]}]" for each, c in self.columns.items()]
             more = f", … ({len(there)} in all)" if len(there) > _SHOWN else ""
@@ -142,5 +148,8 @@ def files_of(source: Path, suffixes: Sequence[str]) -> list[Path]:
     found = [each for each in source.iterdir() if each.suffix.lower() in suffixes]
     found.sort(key=lambda each: [int(p) if p.isdecimal() else p for p in _NUMBER.split(each.name)])
     if not found:
-        raise InvalidInputError(f"{source}: no file that ends in {' or '.join(suffixes)}")
+        others = ", ".join(sorted({each.suffix for each in source.iterdir() if each.suffix}))
+        raise InvalidInputError(
+            f"{source}: no file that ends in {' or '.join(suffixes)}, found {others or 'none'}"
+        )
     return found

@@ -39,7 +39,6 @@ _EPOCH = 10**17
 _SET_BACK = 3
 """Messages in a row that are older than the newest, from which on a clock was set back."""
 
-
 Header = tuple[str, int | None]
 """The frame and the time, ns, of a message's header."""
 _NO_HEADER: Header = "", None

@@ -201,14 +201,12 @@ def _contradictions(found: SceneMap) -> Iterator[str]:
             yield f"{where}: bounds must be the lower corner, then the upper one"
         if body.orientation is not None and body.orientation.axis and found.dimension == 3:
             yield f"{where}: axis is for bodies of the plane"
-        if body.position.constant is not None and body.missing is not None:
+        if body.position.constant and body.missing is not None:
             yield f"{where}: missing is for recorded numbers"
         base = body.base
         if base is not None and (base not in bodies or bodies[base].base is not None):
             key = "relative_to" if body.in_frame_of is None else "in_frame_of"
             yield f"{where}: {key} must name a body in world coordinates, found {base!r}"
-        if body.actuated and not any(body.name in each.bodies for each in found.controls):
-            yield f"{where}: actuated = true needs a [[control]] with body = {body.name!r}"
         for key in ("relative_to", "velocity", "angular_velocity"):
             if body.in_frame_of is not None and getattr(body, key) is not None:
                 yield f"{where}: in_frame_of excludes {key}"
@@ -217,6 +215,9 @@ def _contradictions(found: SceneMap) -> Iterator[str]:
             if name not in bodies or not bodies[name].actuated:
                 where = each.entries.where
                 yield f"{where}: body must name a body with actuated = true, found {name!r}"
+    for name, body in bodies.items():
+        if body.actuated and not any(name in each.bodies for each in found.controls):
+            yield f"{found.where}: {name}: actuated = true needs a [[control]] with body = {name!r}"
     for pair in (*found.contact, *found.holding):
         if len(pair.bodies) != 2 or not set(pair.bodies) <= set(bodies):
             yield f"{pair.entries.where}: bodies must name two of {', '.join(bodies)}"

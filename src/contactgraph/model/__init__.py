@@ -4,7 +4,6 @@ from contactgraph.model.body_head import BodyHead as BodyHead
 from contactgraph.model.body_mass import MassBelief as MassBelief
 from contactgraph.model.body_mass import correct_masses as correct_masses
 from contactgraph.model.body_mass import first_masses as first_masses
-from contactgraph.model.body_mass import nodes_with_told_masses as nodes_with_told_masses
 from contactgraph.model.body_mass import told_log_mass as told_log_mass
 from contactgraph.model.body_mass import with_masses as with_masses
 from contactgraph.model.collision import ClosestApproachPrior as ClosestApproachPrior

@@ -15,7 +15,7 @@ import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.body_head import BodyHead
@@ -87,18 +87,6 @@ def told_log_mass(model: object, scene: Scene) -> np.ndarray | None:
     types = np.asarray(model.features.node_type(scene_nodes(scene), head.log_mass.dtype))
     missing = np.log(scene.mass) - PACE * types @ np.asarray(head.log_mass)
     return np.asarray(missing - missing[np.argmax(scene.actuated)])
-
-
-def nodes_with_told_masses(model: object, scene: Scene, node_capacity: int) -> Nodes:
-    """`scene_nodes` that weigh what the scene tells; raises `InvalidInputError` where none can."""
-    told = told_log_mass(model, scene)
-    if told is None:
-        raise InvalidInputError(
-            "told masses need a scene that tells them, with an actuated body, and a model of "
-            "masses that differ within a type"
-        )
-    nodes = scene_nodes(scene, node_capacity)
-    return nodes._replace(log_mass=jnp.asarray(np.pad(told, (0, node_capacity - len(told)))))
 
 
 def with_masses(nodes: Nodes, masses: MassBelief | None) -> Nodes:

@@ -32,8 +32,6 @@ class Geometry(eqx.Module):
     """Of the second node against the first, m/s, at the point of contact."""
     distance: Float[Array, " E"]
     """m"""
-    predicted_distance: Float[Array, " E"]
-    """m; after one step without contact forces."""
     closest_approach: Float[Array, " E"]
     """m; the least distance within the step without contact forces."""
     direction: Float[Array, "E D"]
@@ -161,7 +159,6 @@ def geometry(
         displacement=displacement,
         relative_velocity=relative_velocity,
         distance=distance,
-        predicted_distance=_norm(displacement + drifted + driven),
         closest_approach=closest_approach,
         direction=displacement / distance[:, None],
         normal=normal,

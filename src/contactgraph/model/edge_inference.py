@@ -216,9 +216,7 @@ class MemorylessEdges(eqx.Module):
         return ContactBelief(jax.nn.softmax(embedding, axis=-1))
 
 
-class AllEdges(eqx.Module):
-    """Every edge active at every step (the paper's No-GIM)."""
-
+class _WithoutMessages(eqx.Module):
     edge_types: int = eqx.field(static=True, default=2)
 
     def embed(
@@ -230,6 +228,10 @@ class AllEdges(eqx.Module):
     ) -> Float[Array, "E 0"]:
         """Nothing to embed."""
         return jnp.zeros((weight.shape[0], 0), node.dtype)
+
+
+class AllEdges(_WithoutMessages):
+    """Every edge active at every step (the paper's No-GIM)."""
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]
@@ -239,27 +241,16 @@ class AllEdges(eqx.Module):
         return ContactBelief(certain)
 
 
-class PriorEdges(eqx.Module):
+class PriorEdges(_WithoutMessages):
     """The geometric prior alone, as an ablation of inference: no belief survives a step.
 
     The prior knows no types, so all of its active part is of one. Corrections still apply to the
     step just made.
     """
 
-    edge_types: int = eqx.field(static=True, default=2)
     active_type: int = eqx.field(static=True, default=1)
     carried_size: int = eqx.field(static=True, default=1)
     """Of a memory that stays 0. Without a memory the correction by motion would have its own."""
-
-    def embed(
-        self,
-        node: Float[Array, "N F"],
-        edge: Float[Array, "2 E G"],
-        weight: Float[Array, " E"],
-        edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E 0"]:
-        """Nothing to embed."""
-        return jnp.zeros((weight.shape[0], 0), node.dtype)
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]

@@ -65,7 +65,6 @@ class PinJoints(eqx.Module):
                 displacement=gap,
                 relative_velocity=relative,
                 distance=nothing,
-                predicted_distance=nothing,
                 closest_approach=nothing,
                 direction=normal,
                 normal=normal,

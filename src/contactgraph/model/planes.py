@@ -65,7 +65,6 @@ def plane_geometry(
         displacement=-height[:, None] * normal,
         relative_velocity=-moved(velocity) * meets[:, None],
         distance=height,
-        predicted_distance=height - approach,
         closest_approach=height - jnp.maximum(approach, 0.0),
         direction=-normal,
         normal=-normal,

@@ -126,7 +126,7 @@ async def serve_session(
                 try:
                     session.wish(read_wish(message))
                 except InvalidInputError as error:
-                    await connection.send(_error(str(error)))
+                    await connection.send(json.dumps({"type": "error", "text": str(error)}))
         except ConnectionClosed:
             pass
         finally:
@@ -168,10 +168,6 @@ async def _send_newest(
                 await connection.send(frame)
     except ConnectionClosed:
         pass
-
-
-def _error(text: str) -> str:
-    return json.dumps({"type": "error", "text": text})
 
 
 def _refused(status: HTTPStatus, reason: str) -> Response:

@@ -62,7 +62,9 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
 
     def with_numbers(shift: np.ndarray) -> ContactDynamics:
         # About 1, because differences are relative.
-        return _with_laws(model, jnp.asarray(start + spread * (shift - 1.0), jnp.float32))
+        numbers = jnp.asarray(start + spread * (shift - 1.0), jnp.float32)
+        ends = np.cumsum([len(each) for each in _leaves(model)])[:-1]
+        return eqx.tree_at(_leaves, model, jnp.split(numbers, ends))
 
     def residuals(shift: np.ndarray) -> np.ndarray:
         each = np.asarray(_velocity_errors(with_numbers(shift), windows), float)
@@ -84,11 +86,6 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
 
 def _leaves(model: ContactDynamics) -> list[Array]:
     return [getattr(model.local_dynamics.head, name) for name in _SPREADS]
-
-
-def _with_laws(model: ContactDynamics, numbers: Float[Array, " L"]) -> ContactDynamics:
-    ends = np.cumsum([len(each) for each in _leaves(model)])[:-1]
-    return eqx.tree_at(_leaves, model, jnp.split(numbers, ends))
 
 
 @eqx.filter_jit

@@ -61,7 +61,8 @@ def find_turning(dataset: Dataset) -> Turning | None:
         if each.orientation is None or each.angular_velocity is None or not each.scene.polygons:
             return None
         turned = np.any(np.nan_to_num(np.ptp(_turns(each), axis=0)) > _TURNS, axis=-1)
-        on_floor = _has_floor(each.scene)
+        planes = each.scene.planes
+        on_floor = each.scene.has_weight and planes is not None and len(planes) > 0
         if on_floor:
             rate = np.linalg.norm(each.angular_velocity, axis=-1)
             turns_in_step.append(each.scene.dt * rate.ravel())
@@ -90,10 +91,6 @@ def find_turning(dataset: Dataset) -> Turning | None:
         substeps,
         undriven=bool(borne) and not driven,
     )
-
-
-def _has_floor(scene: Scene) -> bool:
-    return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
 
 
 def _turns(trajectory: Trajectory) -> np.ndarray:

@@ -3,7 +3,6 @@
 from contactgraph.viz.animation import check_animation as check_animation
 from contactgraph.viz.animation import write_animation as write_animation
 from contactgraph.viz.cost_picture import cost_figure as cost_figure
-from contactgraph.viz.cost_picture import write_cost_picture as write_cost_picture
 from contactgraph.viz.edge_beliefs import BeliefTimeline as BeliefTimeline
 from contactgraph.viz.edge_beliefs import belief_timeline as belief_timeline
 from contactgraph.viz.edge_beliefs import most_changed_edge as most_changed_edge

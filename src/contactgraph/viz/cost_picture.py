@@ -6,7 +6,6 @@ All of it is scaled so that the mean of R's diagonal is 1/N^2: costs are known u
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +16,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from contactgraph.control import Cost, LearnedCost
 from contactgraph.control.learned_cost import relative_names, relative_terms
-from contactgraph.data import InvalidInputError, Scene, atomic_write
+from contactgraph.data import InvalidInputError, Scene
 from contactgraph.viz.scene_picture import BODY_COLOURS, INK, RULE, SOFT
 
 _DECADES = 2.5
@@ -29,13 +28,6 @@ _MARGIN, _TOP, _SMALL, _END = 0.72, 1.05, 0.95, 0.2
 """Inches: left of a matrix, above one, of R, to the right edge."""
 _LETTER, _SMALLEST = 0.6, 5.0
 """Width of a letter against its size; smallest readable size, points."""
-
-
-def write_cost_picture(path: str | Path, cost: LearnedCost, expert: Cost | None = None) -> None:
-    """Write `cost_figure` as a PNG, atomically."""
-    figure = cost_figure(cost, expert)
-    with atomic_write(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=150, format="png")
 
 
 def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:

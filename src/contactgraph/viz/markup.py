@@ -1,7 +1,6 @@
 """The parts of a report page that are plain HTML. All external text is escaped here."""
 
 import math
-from collections.abc import Mapping
 from html import escape
 
 from contactgraph.viz.metric_table import short
@@ -134,9 +133,6 @@ def footer(data: ReportData) -> str:
         lines = "\n".join(escape(line) for line in data.remake)
         parts.append(f"<p>To make this page again:</p><pre><code>{lines}</code></pre>")
     if data.versions:
-        parts.append(f"<p>{_versions(data.versions)}</p>")
+        versions = (f"{escape(name)} {escape(each)}" for name, each in data.versions.items())
+        parts.append(f"<p>{' · '.join(versions)}</p>")
     return "".join(parts)
-
-
-def _versions(versions: Mapping[str, str]) -> str:
-    return " · ".join(f"{escape(name)} {escape(version)}" for name, version in versions.items())

@@ -131,6 +131,7 @@ def test_recorded_steps_are_subsampled_for_training(
     assert repeated(capsys, "robot", "record", "fake", *arguments)[0] == 0
     # Recorded in steps of 0.001 s, trained in steps of 0.01 s.
     out = ["--out", tmp_path / "run", "--steps", 2, "--rollout-from", 1]
+    out += ["--model", "gim-temp", "--batch-size", 4, "--window-length", 3]
     assert run("train", path, "--every", 10, *out) == 0
     assert run("evaluate", tmp_path / "run", path) == 0
     assert "every 10th step is taken" in capsys.readouterr().out
@@ -209,6 +210,12 @@ def test_ctrl_c_ends_an_episode_gently(tmp_path: Path) -> None:
         (["calibrate", "fake", "--out", "x.json", "--tag", 3], "--tag 3 is one of the block's"),
         (["calibrate", "fake", "--out", "x.json"], "the fake arm has no camera"),
         (["fly", "fake"], "no command 'robot fly'; the commands are"),
+        (["rehearse-record", "--out", "x.h5", "--runs", 0], "--runs"),
+        (["rehearse-record", "--out", "x.h5", "--seconds", 60], "--seconds"),
+        (["rehearse-record", "--out", "x.h5", "--pace", 0], "pace must be 0.1 to 100"),
+        (["rehearse-record", "--out", "x.h5", "--stopping", 1.5], "--stopping must be 0 to 1"),
+        (["rehearse-control", "franka", "--episodes", 0], "--episodes"),
+        (["rehearse-control", "nobody"], "nobody"),
     ],
 )
 def test_mistakes_are_reported_in_one_line(
@@ -218,6 +225,8 @@ def test_mistakes_are_reported_in_one_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    if str(arguments[0]).startswith("rehearse"):
+        pytest.importorskip("franky_sim", reason="needs pip install 'contactgraph[rehearsal]'")
     monkeypatch.chdir(tmp_path)
     assert run("robot", *arguments) == 2
     output = capsys.readouterr()

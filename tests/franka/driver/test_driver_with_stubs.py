@@ -41,6 +41,7 @@ class StubArm:
         self.cycle, self.is_in_control = 0, False
         self.error: Exception | None = None
         self.lost: Exception | None = None
+        self.velocity, self.planner_failures = VELOCITY, 0
         self.motions: list[Any] = []
         self.model = SimpleNamespace(
             pose=lambda *_: SimpleNamespace(translation=HAND),
@@ -56,7 +57,7 @@ class StubArm:
         return SimpleNamespace(
             time=SimpleNamespace(to_msec=lambda: self.cycle),
             q=np.zeros(7),
-            dq=VELOCITY,
+            dq=self.velocity,
             tau_J_d=np.zeros(7),
             O_T_EE=SimpleNamespace(quaternion=np.array([1.0, 0.0, 0.0, 0.0]), matrix=np.eye(4)),
             F_T_EE=franky.Affine(),
@@ -67,6 +68,9 @@ class StubArm:
         self.thresholds = thresholds
 
     def move(self, motion: Any, **options: Any) -> None:
+        self.planner_failures -= 1
+        if self.planner_failures >= 0:
+            raise RuntimeError("Motion planner failed with error code -111")
         self.motions.append(motion)
         self.is_in_control = True
 
@@ -183,30 +187,24 @@ def test_fingers_move_while_forces_act_and_carry_the_block(arm: StubArm) -> None
     np.testing.assert_array_equal(fingers.offsets, [np.zeros((1, 3))])
 
 
-class StubGripper:
-    """Fingers that move by 4 mm a read, to the commanded width or the block between them."""
+class LostGripper:
+    """Fingers that close by 4 mm a read on a block of 0.04 m, until the gripper is lost."""
 
-    server_version = 3
-
-    def __init__(self, block: float) -> None:
-        self.block, self.commands = block, list[str]()
-        self.width = self.target = 0.06
+    server_version, width, target, lost = 3, 0.06, 0.06, False
 
     @property
     def state(self) -> SimpleNamespace:
-        self.width += float(np.clip(self.target - self.width, -0.004, 0.004))
+        if self.lost:
+            raise RuntimeError("gripper gone")
+        self.width = max(self.width - 0.004, self.target)
         return SimpleNamespace(width=self.width, max_width=0.08)
 
     def move_async(self, width: float, speed: float) -> Any:
-        return self._command("move", width)
+        return SimpleNamespace(wait=lambda timeout: True)
 
     def grasp_async(self, width: float, speed: float, force: float, **options: float) -> Any:
-        return self._command("grasp", max(width, self.block))
-
-    def _command(self, name: str, width: float) -> Any:
-        self.commands.append(name)
-        self.target = width
-        return SimpleNamespace(wait=lambda timeout: self.width == width)
+        self.target = 0.04
+        return SimpleNamespace(wait=lambda timeout: False)
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
@@ -216,33 +214,8 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize(("block", "contact"), [(0.04, 1.0), (0.0, 0.0)])
-def test_gripper_closes_on_a_block_and_opens(
-    block: float, contact: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stub = StubGripper(block)
-    monkeypatch.setattr("contactgraph_franka.driver.gripper.connect_gripper", lambda address: stub)
-    at_hand, still, tracked = np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool)
-    with FrankaGripper("arm") as gripper:
-        assert (gripper.largest_width, gripper.version) == (0.08, 3)
-        gripper.follow(at_hand, still, tracked)
-        wait_for(lambda: gripper.contact() == contact)
-        gripper.open()
-        assert np.isnan(gripper.contact()) and gripper.width > 0.05
-    assert stub.commands == ["move", "grasp", "move"] and gripper.last_error == ""
-
-
 def test_lost_gripper_reports_no_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Lost(StubGripper):
-        lost = False
-
-        @property
-        def state(self) -> SimpleNamespace:
-            if self.lost:
-                raise RuntimeError("gripper gone")
-            return super().state
-
-    stub = Lost(0.04)
+    stub = LostGripper()
     monkeypatch.setattr("contactgraph_franka.driver.gripper.connect_gripper", lambda address: stub)
     with FrankaGripper("arm") as gripper:
         gripper.follow(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1, bool))
@@ -252,3 +225,33 @@ def test_lost_gripper_reports_no_contact(monkeypatch: pytest.MonkeyPatch) -> Non
         gripper._thread.join(2.0)
         assert np.isnan(gripper.contact())
         gripper.open()
+
+
+@pytest.mark.parametrize(("failures", "moved"), [(0, 1), (2, 1), (3, 0)])
+def test_motion_planner_is_called_again_after_a_failure(
+    arm: StubArm, failures: int, moved: int
+) -> None:
+    arm.velocity, arm.planner_failures = np.zeros(7), failures
+    stop = FrankaRobot("arm").move_to(HAND)
+    assert len(arm.motions) == moved
+    assert (stop is None) if moved else (stop.reason is StopReason.ARM_STOPPED)
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "text"),
+    [
+        ([0.5, 0.1], 0.1, r"position must be \[3\] m, and yaw rad, found \[0.5, 0.1\]"),
+        ([0.5, 0.1, np.nan], 0.1, r"position must be \[3\] m"),
+        (HAND, 0.0, "speed must be above 0 and at most 1, found 0.0"),
+    ],
+)
+def test_invalid_targets(arm: StubArm, position: Any, speed: float, text: str) -> None:
+    with pytest.raises(InvalidInputError, match=text):
+        FrankaRobot("arm").move_to(position, speed=speed)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.99", "no-such-arm.invalid"])
+def test_no_arm_at_an_address(address: str) -> None:
+    with pytest.raises(InvalidInputError, match=f"no arm answers at {address}: .* FCI") as caught:
+        FrankaRobot(address)
+    assert "\n" not in str(caught.value)

@@ -36,19 +36,14 @@ def test_no_contact_where_fingers_meet() -> None:
     assert 1.0 not in values and values[-1] == 0.0 and values.count(0.0) > 50
 
 
-def test_unknown_before_the_fingers_move() -> None:
+def test_unknown_unless_the_fingers_close_and_move() -> None:
     sensor = FingerContact()
-    for read in range(50):
-        sensor.step(0.06, read * READ, closing=True)
-        assert math.isnan(sensor.value)
-
-
-def test_unknown_unless_the_fingers_close() -> None:
-    sensor = FingerContact()
-    for read in range(100):
-        sensor.step(max(0.06 - SPEED * read * READ, 0.04), read * READ, closing=True)
+    for read in range(150):
+        moved = SPEED * READ * max(read - 50, 0)
+        sensor.step(max(0.06 - moved, 0.04), read * READ, closing=True)
+        assert read > 50 or math.isnan(sensor.value)
     assert sensor.value == 1.0
-    sensor.step(0.04, 1.0, closing=False)
+    sensor.step(0.04, 1.5, closing=False)
     assert math.isnan(sensor.value)
 
 
@@ -93,13 +88,13 @@ def test_fingers_stay_open_for_receding_or_untracked_blocks() -> None:
     assert trigger.step(near, np.array([[0.4, 0.0, 0.0]]), TRACKED, OPEN_WIDTH)
 
 
-def test_grasp_ends_where_the_block_is_measured_elsewhere() -> None:
-    trigger, still = GraspTrigger(), np.zeros((1, 3))
-    here, there = np.zeros((1, 3)), np.array([[0.0, 0.2, 0.0]])
-    assert trigger.step(here, still, TRACKED, 0.04)
+def test_grasp_ends_where_the_grasped_block_is_measured_elsewhere() -> None:
+    trigger, still, both = GraspTrigger(), np.zeros((2, 3)), np.ones(2, bool)
+    here, there = (np.array([[0.3, 0.0, 0.0], [0.0, y, 0.0]]) for y in (0.005, 0.2))
+    assert trigger.step(here, still, both, OPEN_WIDTH) and trigger.block == 1
     # An untracked block is hidden by the hand.
-    assert trigger.step(there, still, ~TRACKED, 0.04)
-    assert not trigger.step(there, still, TRACKED, 0.04)
+    assert trigger.step(there, still, ~both, 0.04)
+    assert not trigger.step(there, still, both, 0.04)
 
 
 def test_fingers_that_met_nothing_open_again() -> None:
@@ -107,10 +102,3 @@ def test_fingers_that_met_nothing_open_again() -> None:
     assert trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, OPEN_WIDTH)
     assert trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, 0.02)
     assert not trigger.step(np.zeros((1, 3)), np.zeros((1, 3)), TRACKED, 0.001)
-
-
-def test_the_block_at_the_hand_is_reported() -> None:
-    trigger = GraspTrigger()
-    offset = np.array([[0.3, 0.0, 0.0], [0.0, 0.005, 0.0]])
-    assert trigger.step(offset, np.zeros((2, 3)), np.ones(2, bool), OPEN_WIDTH)
-    assert trigger.block == 1

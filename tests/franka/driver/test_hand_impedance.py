@@ -5,21 +5,105 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from simulated_arm import SimulatedArm, push
-
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.driver.arm import (
     FR3_DRIVES,
     FR3_LIMITS,
     JOINTS,
     NO_DRIVES,
+    ArmState,
     JointDrives,
     JointLimits,
 )
 from contactgraph_franka.driver.impedance import HandImpedance, bias_acceleration, rotation_between
+from contactgraph_franka.envs.arm_model import mujoco
+from contactgraph_franka.envs.arm_world import ArmWorld
+
+POSTURE = np.array([0.1, 0.2, -0.1, -2.2, 0.05, 2.4, 0.7])
+"""rad, the hand above the table and pointing down, with no joint at zero."""
+POINT = '<site name="grasp" pos="0 0 .1254"/>'
+LOAD = '<body pos="0 0 .1254"><inertial pos="0 0 0" mass="{}" diaginertia="1e-4 1e-4 1e-4"/></body>'
+
+
+class SimulatedArm:
+    """The arm with motor inertia and friction; torques act late, as over a network."""
+
+    def __init__(self, drives: JointDrives, load: float = 0.0, delay: int = 1) -> None:
+        """``load`` kg at the grasp point is not included in the reported state.
+
+        Torques act ``delay`` cycles late.
+        """
+        bare = ArmWorld(POSTURE, np.zeros((0, 3)), np.zeros(0), 0.001)
+        text = bare.description
+        assert POINT in text
+        if load:
+            text = text.replace(POINT, LOAD.format(load) + POINT)
+        self._bare = bare.model
+        self._reported, self._still = mujoco.MjData(self._bare), mujoco.MjData(self._bare)
+        self._model = mujoco.MjModel.from_xml_string(text)
+        self._model.dof_armature[:JOINTS] = drives.inertia
+        self._model.dof_frictionloss[:JOINTS] = drives.friction
+        self._model.dof_damping[:JOINTS] = drives.damping
+        self.data = mujoco.MjData(self._model)
+        self.data.qpos[:] = bare.data.qpos
+        self._site = self._model.site("grasp").id
+        self._sent = [np.zeros(JOINTS)] * (delay + 1)
+        self.refresh()
+
+    def state(self) -> ArmState:
+        model, data = self._bare, self._reported
+        mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv))
+        for column, unit in zip(mass, np.eye(model.nv), strict=True):
+            mujoco.mj_mulM(model, data, column, unit)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], self._site)
+        orientation = np.zeros(4)
+        mujoco.mju_mat2Quat(orientation, data.site_xmat[self._site])
+        return ArmState(
+            time=self.data.time,
+            joints=data.qpos[:JOINTS].copy(),
+            joint_velocity=data.qvel[:JOINTS].copy(),
+            torque=self._sent[0].copy(),
+            mass=mass[:JOINTS, :JOINTS],
+            coriolis=(data.qfrc_bias - self._still.qfrc_bias)[:JOINTS],
+            jacobian=jacobian[:, :JOINTS],
+            orientation=np.roll(orientation, -1),
+        )
+
+    @property
+    def position(self) -> np.ndarray:
+        """[3] m, of the grasp point."""
+        return self._reported.site_xpos[self._site].copy()
+
+    def step(self, torque: np.ndarray) -> None:
+        """One cycle; ``torque`` [7] N m acts in a later one. The arm compensates gravity."""
+        self._sent = [*self._sent[1:], torque]
+        self.data.ctrl[:JOINTS] = self._sent[0] + self._still.qfrc_bias[:JOINTS]
+        mujoco.mj_step(self._model, self.data)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Updates the reported state after a change of the joints."""
+        self._reported.qpos[:] = self._still.qpos[:] = self.data.qpos
+        self._reported.qvel[:] = self.data.qvel
+        mujoco.mj_forward(self._bare, self._reported)
+        mujoco.mj_forward(self._bare, self._still)
+
+
+def push(
+    arm: SimulatedArm, impedance: HandImpedance, force: np.ndarray, cycles: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [T+1, 3] m and turns [T+1, 3] rad of the hand under a force [3] N."""
+    impedance.hold(arm.state())
+    positions, turns = [arm.position], [np.zeros(3)]
+    for _ in range(cycles):
+        arm.step(impedance(force, arm.state()).torque)
+        positions.append(arm.position)
+        turns.append(impedance.turn(arm.state()))
+    return np.array(positions), np.array(turns)
+
 
 MASS = 4.0
-FORCES = [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0], [-2.0, 3.0, -2.0]]
+UP, ASLANT = np.array([0.0, 0.0, 4.0]), np.array([-2.0, 3.0, -2.0])
 ROTORS = JointDrives(FR3_DRIVES.inertia, np.zeros(JOINTS), FR3_DRIVES.damping)
 
 
@@ -29,25 +113,26 @@ def acceleration(positions: np.ndarray) -> np.ndarray:
     return (velocity[400] - velocity[100]) / 0.3
 
 
-@pytest.mark.parametrize("force", FORCES[2:])
-@pytest.mark.parametrize("drives", [NO_DRIVES, ROTORS, FR3_DRIVES])
-def test_free_hand_is_a_mass_of_four_kilograms(force: list[float], drives: JointDrives) -> None:
-    positions, turns = push(
-        SimulatedArm(drives), HandImpedance(FR3_LIMITS, drives), np.array(force), 420
-    )
-    wanted = np.array(force) / MASS
-    # Friction is estimated, in joints that move and come to rest.
-    close = 0.03 if drives is FR3_DRIVES else 0.01
-    assert np.linalg.norm(acceleration(positions) - wanted) < close * np.linalg.norm(wanted)
-    assert np.degrees(np.abs(turns).max()) < 0.2
-
-
-@pytest.mark.parametrize("drives", [NO_DRIVES, FR3_DRIVES])
-def test_torques_three_cycles_late(drives: JointDrives) -> None:
-    arm = SimulatedArm(drives, delay=3)
-    force = np.array(FORCES[3])
-    positions, turns = push(arm, HandImpedance(FR3_LIMITS, drives), force, 420)
-    assert np.linalg.norm(acceleration(positions) - force / MASS) < 0.05
+@pytest.mark.parametrize(
+    ("force", "drives", "delay", "close"),
+    [
+        (UP, NO_DRIVES, 1, 0.01),
+        (ASLANT, NO_DRIVES, 1, 0.0103),
+        (ASLANT, ROTORS, 1, 0.0103),
+        # Friction is estimated, in joints that move and come to rest.
+        (UP, FR3_DRIVES, 1, 0.03),
+        (ASLANT, FR3_DRIVES, 1, 0.0309),
+        (ASLANT, NO_DRIVES, 3, 0.05),
+        (ASLANT, FR3_DRIVES, 3, 0.05),
+    ],
+)
+def test_free_hand_is_a_mass_of_four_kilograms(
+    force: np.ndarray, drives: JointDrives, delay: int, close: float
+) -> None:
+    """``close`` m/s^2; torques act ``delay`` cycles late."""
+    arm, impedance = SimulatedArm(drives, delay=delay), HandImpedance(FR3_LIMITS, drives)
+    positions, turns = push(arm, impedance, force, 420)
+    assert np.linalg.norm(acceleration(positions) - force / MASS) < close
     assert np.degrees(np.abs(turns).max()) < 0.2
 
 
@@ -71,13 +156,6 @@ def test_compensating_absent_friction_accelerates_the_hand() -> None:
     force = np.array([0.0, 0.5, 0.0])
     positions, _ = push(SimulatedArm(NO_DRIVES), HandImpedance(FR3_LIMITS, FR3_DRIVES), force, 420)
     assert np.linalg.norm(acceleration(positions)) > 3.0 * force[1] / MASS
-
-
-def test_unmodelled_drives_slow_the_hand() -> None:
-    positions, _ = push(
-        SimulatedArm(FR3_DRIVES), HandImpedance(FR3_LIMITS, NO_DRIVES), np.array(FORCES[0]), 420
-    )
-    assert acceleration(positions)[0] < 0.9 * FORCES[0][0] / MASS
 
 
 def test_hand_without_force_stays() -> None:
@@ -172,11 +250,6 @@ def test_bias_acceleration_against_finite_differences() -> None:
 
 
 def test_rotations_between() -> None:
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(
-        rotation_between((0.0, 0.0, 0.0, 1.0), np.array([0.0, 0.0, half, half])),
-        [0.0, 0.0, np.pi / 2],
-    )
     # In the base's frame, also for a hand that points down; and the shorter rotation.
     down = (1.0, 0.0, 0.0, 0.0)
     turned = np.array([np.cos(0.1), np.sin(0.1), 0.0, 0.0])

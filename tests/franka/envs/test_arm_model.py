@@ -97,16 +97,6 @@ def test_unreachable_points_are_refused(arm, point):
 
 
 @pytest.mark.parametrize("point", POINTS)
-def test_without_a_force_nothing_moves(point):
-    world = world_with_hand_at(point)
-    joints = world.data.qpos[:7].copy()
-    for _ in range(100):
-        world.step(push([0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(world.position[0], point, atol=1e-4)
-    np.testing.assert_allclose(world.data.qpos[:7], joints, atol=1e-4)
-
-
-@pytest.mark.parametrize("point", POINTS)
 @pytest.mark.parametrize("axis", range(3))
 def test_the_free_hand_is_a_mass_of_4_kg_on_every_axis(point, axis):
     world = world_with_hand_at(point)

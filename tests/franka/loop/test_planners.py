@@ -1,7 +1,6 @@
 """Planners in the control loop of the arm in MuJoCo; time is simulated, plans come late."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -107,9 +106,7 @@ def mpc(model: ContactDynamics) -> MPCPlanner:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "delay", "sensor"), [(311, 0.0, True), (312, 0.03, True), (313, 0.015, False)]
-)
+@pytest.mark.parametrize(("seed", "delay", "sensor"), [(312, 0.03, True), (313, 0.015, False)])
 def test_mpc_picks_up_through_the_loop(
     mpc: MPCPlanner, seed: int, delay: float, sensor: bool
 ) -> None:
@@ -124,27 +121,25 @@ def test_the_expert_picks_up_through_the_loop() -> None:
     assert is_success(arm.world.position, arm.goal)
 
 
-def observation(time: float, position: np.ndarray, contact: float) -> TimedObservation:
+def observation(time: float, contact: float) -> TimedObservation:
+    position, still, stamp = np.full((2, 3), time), np.zeros((2, 3)), np.full(2, time)
     touch = np.array([[0.0, contact], [contact, 0.0]])
-    reading = RobotReading(position, np.zeros((2, 3)), np.full(2, time), time, np.ones(2))
-    return TimedObservation(time, replace(reading, contact=touch), np.full(3, time))
+    reading = RobotReading(position, still, stamp, time, np.ones(2), contact=touch)
+    return TimedObservation(time, reading, np.full(3, time))
 
 
 class RecordedMPC:
     """Records the arguments of `ActiveSetMPC`, and fails to plan where the contact is 1."""
 
     def __init__(self, model: Any, ilqr: Any, sensor: Any, **options: Any) -> None:
-        self.ilqr, self.options = ilqr, options
-        self.steps: list[tuple[np.ndarray, np.ndarray, int, np.ndarray, bool]] = []
+        self.ilqr, self.options, self.steps = ilqr, options, []
 
     def reset(self, observation: Any, nodes: Any, cost: Any) -> int:
         self.goal = observation["goal"]
         return 0
 
-    def step(
-        self, observed: Any, contact: Any, state: int, applied: Any, replan: bool
-    ) -> tuple[Any, int]:
-        self.steps.append((observed["position"], contact, state, applied, replan))
+    def step(self, observed: Any, contact: Any, state: int, *rest: Any, replan: bool) -> Any:
+        self.steps.append((observed["position"], contact, *rest, state, replan))
         failed = contact[0, 1] == 1.0
         outcome = PlanStatus.NOT_FINITE if failed else PlanStatus.CONVERGED
         return SimpleNamespace(outcome=outcome), state + 1
@@ -160,41 +155,21 @@ def test_skipped_observations_update_the_belief_and_one_plan_is_made(
     recorded: Any = planner._mpc
     with pytest.raises(InvalidInputError, match=r"call reset\(start\) first"):
         planner.plan([])
-    planner.reset(EpisodeStart(observation(0.0, np.zeros((2, 3)), 0.0).reading, np.ones(3)))
+    planner.reset(EpisodeStart(observation(0.0, 0.0).reading, np.ones(3)))
     np.testing.assert_array_equal(recorded.goal, np.ones(3))
-    given = [observation(0.01 * k, np.full((2, 3), float(k)), 0.5) for k in range(3)]
+    given = [observation(0.01 * k, 0.5) for k in range(3)]
     assert planner.plan(given)[1:] == (model.dt, 2, 3)
-    for k, (position, contact, state, applied, replan) in enumerate(recorded.steps):
+    for k, (position, contact, applied, *last) in enumerate(recorded.steps):
         np.testing.assert_array_equal(position, given[k].reading.position)
         np.testing.assert_array_equal(contact, given[k].reading.contact)
         np.testing.assert_array_equal(applied, given[k].applied)
-        assert (state, replan) == (k, k == 2)
-    assert planner.plan([observation(0.03, np.zeros((2, 3)), 1.0)]) is None
+        assert last == [k, k == 2]
+    assert planner.plan([observation(0.03, 1.0)]) is None
     # Every plan is within the force that the limits permit.
     limits = recorded.ilqr.limits
     np.testing.assert_allclose(np.linalg.norm(limits.upper), MAX_FORCE, rtol=1e-6)
     np.testing.assert_array_equal(limits.lower, -limits.upper)
     assert recorded.options["replan_every"] == recorded.ilqr.horizon
-
-
-@pytest.mark.slow
-def test_a_plan_begins_at_the_last_observation_within_the_limits(mpc: MPCPlanner) -> None:
-    arm = SimulatedArm(305, True)
-    mpc.reset(EpisodeStart(arm.read(), arm.goal))
-    given = []
-    for _ in range(4):
-        given.append(TimedObservation(arm(), arm.read(), arm.force))
-        arm.wait_until(arm() + 0.01)
-    policy = mpc.plan(given)
-    assert policy is not None and policy.duration == pytest.approx(0.5)
-    np.testing.assert_allclose(policy.states[0, :, 0], given[-1].reading.position, atol=1e-6)
-    far = arm.world.position + np.array([[0.0, 0.0, 0.0], [5.0, 5.0, 5.0]])
-    reading = RobotReading(far, np.zeros((2, 3)), np.zeros(2), 0.0, np.ones(2))
-    mpc.reset(EpisodeStart(reading, arm.goal))
-    policy = mpc.plan([TimedObservation(0.0, reading, np.zeros(3))])
-    assert policy is not None
-    longest = np.linalg.norm(policy.controls, axis=1).max()
-    assert 0.99 * MAX_FORCE < longest <= MAX_FORCE * (1.0 + 1e-6)
 
 
 def test_invalid_arguments(model: ContactDynamics) -> None:

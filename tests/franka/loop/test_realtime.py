@@ -26,9 +26,7 @@ else:
 """
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "sched_setscheduler"), reason="no real-time priorities on this system"
-)
+@needs_priorities
 @pytest.mark.slow
 def test_set_nice_ends_inherited_real_time_priority() -> None:
     done = subprocess.run([sys.executable, "-c", _CHILD], capture_output=True, text=True)
@@ -37,9 +35,7 @@ def test_set_nice_ends_inherited_real_time_priority() -> None:
     assert done.stdout.split() == ["True", str(os.nice(0) + 3)], done.stderr
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "sched_setscheduler"), reason="no real-time priorities on this system"
-)
+@needs_priorities
 def test_all_threads_have_real_time_priority_within() -> None:
     """A thread of normal priority that holds Python's lock would delay the others."""
     ends, begun, other = threading.Event(), threading.Event(), []

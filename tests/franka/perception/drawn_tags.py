@@ -1,16 +1,9 @@
 """Frontal pictures of tags without a renderer, exact to the pixel."""
 
-import time
-
 import numpy as np
 import pytest
 
-from contactgraph_franka.perception import (
-    CameraCalibration,
-    CameraFrame,
-    Intrinsics,
-    single_tag,
-)
+from contactgraph_franka.perception import CameraCalibration, Intrinsics, single_tag
 from contactgraph_franka.perception.camera import pose
 from contactgraph_franka.perception.edges import CELLS
 
@@ -47,26 +40,3 @@ def drawn_corners(column, row, cell=6):
 def calibration(tag=3):
     """Of the camera above, and one tag on an object called block."""
     return CameraCalibration(LENS, CAMERA, {"block": single_tag(tag, SIZE)}, MADE)
-
-
-class SlidingTag:
-    """A camera at 50 Hz that sees tag 3 go to the right by a pixel a frame, up to column 240."""
-
-    intrinsics = LENS
-
-    def __init__(self, last=None):
-        self._began, self._number, self._last = time.monotonic(), -1, last
-
-    def read(self):
-        # The newest frame: a busy machine misses some.
-        number = int((time.monotonic() - self._began) / 0.02)
-        if number == self._number:
-            return None
-        if self._last is not None and number > self._last:
-            raise OSError("the cable is out")
-        self._number = number
-        image = drawn([(3, min(40 + number, 240), 80)])
-        return CameraFrame(image, None, self._began + 0.02 * number)
-
-    def close(self):
-        pass

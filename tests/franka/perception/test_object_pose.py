@@ -2,16 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import Intrinsics, Tag, TaggedObject, single_tag
-from contactgraph_franka.perception.camera import (
-    nearest_rotation,
-    pose,
-    rotation_of,
-)
+from contactgraph_franka.perception.camera import pose, rotation_of
 from contactgraph_franka.perception.detector import DEPTH_NOISE, with_depth
 
 pytest.importorskip("pyapriltags", reason="the extra robot is not installed")
@@ -56,9 +51,11 @@ def test_exact_corners_give_the_exact_pose(tagged, lens):
     rng = np.random.default_rng(0)
     for _ in range(20):
         place = anywhere(rng)
-        best, *_ = object_poses(detected(tagged, place, lens), tagged, lens)
+        best, *others = object_poses(detected(tagged, place, lens), tagged, lens)
         np.testing.assert_allclose(best.pose, place, atol=1e-6)
         assert best.tags == tuple(tagged.by_id) and best.error < 1e-3
+        # Tags on several sides leave one pose.
+        assert not others or len(tagged.tags) == 1
 
 
 def test_the_covariance_is_that_of_the_errors():
@@ -87,13 +84,6 @@ def test_a_lone_tag_far_away_leaves_two_poses_and_one_is_right():
     assert two > 15
 
 
-def test_tags_on_several_sides_leave_one_pose():
-    tagged = box()
-    for number in range(10):
-        place = anywhere(np.random.default_rng(number))
-        assert len(object_poses(detected(tagged, place, STRAIGHT), tagged, STRAIGHT)) == 1
-
-
 def test_one_corner_that_is_far_off_hardly_counts():
     tagged, place = box(), anywhere(np.random.default_rng(3))
     detections = detected(tagged, place, STRAIGHT)
@@ -104,14 +94,8 @@ def test_one_corner_that_is_far_off_hardly_counts():
 
 
 def test_tags_of_others_are_none_of_its_own():
-    assert (
-        object_poses(
-            detected(single_tag(9, 0.05), anywhere(np.random.default_rng(0)), STRAIGHT),
-            box(),
-            STRAIGHT,
-        )
-        == []
-    )
+    others = detected(single_tag(9, 0.05), anywhere(np.random.default_rng(0)), STRAIGHT)
+    assert object_poses(others, box(), STRAIGHT) == []
 
 
 def plane_depth(tagged, place, shape):
@@ -154,29 +138,12 @@ def test_a_lens_bends_and_straightens():
     assert np.abs(BENT.rays(pixels) - STRAIGHT.rays(pixels)).max() > 0.01
 
 
-def test_turns_and_their_vectors():
-    rng = np.random.default_rng(5)
-    for angle in (0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7, np.pi):
-        axis = rng.normal(size=3)
-        vector = angle * axis / np.linalg.norm(axis)
-        turn = rotation_of(vector)
-        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-        np.testing.assert_allclose(turn, expm(np.cross(vector, np.eye(3)).T), atol=1e-12)
-        np.testing.assert_allclose(nearest_rotation(3.0 * turn), turn, atol=1e-12)
-    motion = pose(rotation_of(np.array([0.3, 0.2, -1.0])), np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(np.linalg.inv(motion) @ motion, np.eye(4), atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Tag(587, 0.1, np.eye(4)), "id of a tag36h11 must be 0 to 586, found 587"),
-        (lambda: Tag(0, -0.1, np.eye(4)), "size of tag 0 must be 0.001 to 10 m: -0.1"),
         (lambda: Tag(0, 0.1, np.diag([1.0, 1, -1, 1])), "pose of tag 0 must be a rotation and"),
         (lambda: Tag(0, 0.1, np.eye(3)), r"pose of tag 0 must be \[4, 4\] finite numbers"),
-        (lambda: TaggedObject(()), "tags must be at least one"),
         (lambda: TaggedObject(single_tag(1, 0.1).tags * 2), r"with different ids, found \[1, 1\]"),
-        (lambda: Intrinsics(0.0, 1.0, 0.0, 0.0, 64, 48), "fx must be at least 1.0 px, found 0.0"),
         (lambda: Intrinsics(9.0, 9.0, np.nan, 0.0, 64, 48), "cx, cy must be finite px"),
         (lambda: Intrinsics(9.0, 9.0, 1.0, 0.0, 64, 48, (0.1,)), "distortion must be 5 finite"),
     ],

@@ -54,14 +54,8 @@ def stream(kind, form, size, uid, model, coeffs):
     made.type, made.index, made.uid, made.fmt, made.bpp = kind, 0, uid, form, size
     made.width, made.height, made.fps = WIDTH, HEIGHT, 30
     lens = rs.intrinsics()
-    lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = (
-        WIDTH,
-        HEIGHT,
-        300,
-        301,
-        160,
-        119,
-    )
+    lens.width, lens.height = WIDTH, HEIGHT
+    lens.fx, lens.fy, lens.ppx, lens.ppy = 300, 301, 160, 119
     lens.model, lens.coeffs = model, list(coeffs)
     made.intrinsics = lens
     return made

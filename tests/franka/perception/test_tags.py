@@ -1,7 +1,5 @@
 """Tags that are drawn by their codes are read by the real detector, where they are."""
 
-import sys
-
 import numpy as np
 import pytest
 from drawn_tags import drawn, drawn_corners
@@ -34,9 +32,8 @@ def test_an_object_is_searched_around_its_last_position_and_then_elsewhere():
 
 
 def test_only_tags_of_the_objects_are_returned():
-    assert [each.id for each in TagDetector([(5,)]).detect(drawn([(3, 30, 40), (5, 130, 20)]))] == [
-        5
-    ]
+    found = TagDetector([(5,)]).detect(drawn([(3, 30, 40), (5, 130, 20)]))
+    assert [each.id for each in found] == [5]
 
 
 def test_noise_gives_no_detections():
@@ -76,10 +73,3 @@ def test_absent_edges_are_not_detected():
         hidden[60:140, 90:hidden_to] = 60
         assert find_edges(hidden, corners[None]).found.tolist() == [False, True, False, False]
     assert not find_edges(drawn([(3, 100, 70)]), corners[None] - 99.0).found.any()
-
-
-def test_without_the_library_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyapriltags", None)
-    monkeypatch.delitem(sys.modules, "contactgraph_franka.perception.tags")
-    with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[robot\]'$"):
-        import contactgraph_franka.perception.tags  # noqa: F401

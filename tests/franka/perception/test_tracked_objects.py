@@ -1,5 +1,7 @@
 """Objects with delayed camera measurements, carried by a hand."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -44,11 +46,12 @@ def block(time: float) -> tuple[np.ndarray, np.ndarray]:
     return hand(time) if time >= GRASPED else (np.array([0.5, 0.0, 0.05]), np.zeros(3))
 
 
+@cache
 def lived(
-    hold: bool, hidden: tuple[float, float] = (9.0, 9.0), seed: int = 0
+    hold: bool, hidden: tuple[float, float] = (9.0, 9.0)
 ) -> tuple[TrackedObjects, list[tuple[float, float, bool]]]:
     """Tracks over 2 s: errors [m, m/s] and validity of each cycle."""
-    source, random = Frames(), np.random.default_rng(seed)
+    source, random = Frames(), np.random.default_rng(0)
     objects = TrackedObjects(source, ("block",))
     waiting: list[PositionMeasurement] = []
     exposed, found = 0.0, []

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from contactgraph.data import InvalidInputError
 from contactgraph_franka.perception import CameraFrame, Intrinsics
@@ -62,7 +63,7 @@ cameras = {
     "windows": RenderedCamera(model, setup["camera"], lens, bodies=("block",), seed=2),
     "held": RenderedCamera(held, setup["camera"], lens, seed=3),
 }
-made = {"mass": model.body("block").mass[0]}
+made = {}
 for name, camera in cameras.items():
     frames = [camera.picture(places, 0.5) for places in setup["places"]]
     assert all(frame.time == 0.5 for frame in frames)
@@ -72,16 +73,6 @@ for name, camera in cameras.items():
     camera.close()
 np.savez(sys.argv[2], **made)
 """
-
-
-def in_process(script, opengl, *arguments):
-    return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "MUJOCO_GL": opengl, "DISPLAY": ""},
-    )
 
 
 def block_poses():
@@ -97,15 +88,9 @@ POSES = block_poses()
 
 
 def as_places(place):
-    """qpos of a free body; the scalar part of the quaternion is far from zero or the second is."""
-    turn = place[:3, :3]
-    w = 0.5 * np.sqrt(max(0.0, 1.0 + np.trace(turn)))
-    if w < 0.1:
-        z = 0.5 * np.sqrt(1.0 - turn[0, 0] - turn[1, 1] + turn[2, 2])
-        rest = np.array([turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1]]) / (4 * z)
-        return [*place[:3, 3], (turn[1, 0] - turn[0, 1]) / (4 * z), *rest, z]
-    axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-    return [*place[:3, 3], w, *(np.array(axis) / (4 * w))]
+    """qpos of a free body."""
+    x, y, z, w = Rotation.from_matrix(place[:3, :3]).as_quat()
+    return [*place[:3, 3], w, x, y, z]
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +99,13 @@ def frames(tmp_path_factory):
     lens = [LENS.fx, LENS.fy, LENS.cx, LENS.cy, LENS.width, LENS.height]
     places = [as_places(place) for place in POSES]
     np.savez(folder / "setup.npz", lens=lens, camera=CAMERA, places=places)
-    done = in_process(RENDERED, "egl", folder / "setup.npz", folder / "frames.npz")
+    done = subprocess.run(
+        [sys.executable, "-c", RENDERED, folder / "setup.npz", folder / "frames.npz"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "MUJOCO_GL": "egl", "DISPLAY": ""},
+    )
     if "OpenGL" in done.stderr:
         pytest.skip(f"no OpenGL without a screen here: {done.stderr.splitlines()[-1]}")
     assert done.returncode == 0, done.stderr
@@ -136,19 +127,16 @@ def errors(images, depths=None):
     return np.array(found)
 
 
-@pytest.mark.parametrize("kind", ["exact", "noisy", "windows"])
+@pytest.mark.parametrize(
+    ("kind", "depth"),
+    [("exact", None), ("noisy", None), ("noisy", "noisy_depth"), ("windows", None)],
+)
 @pytest.mark.slow
-def test_block_poses_are_accurate_to_a_millimetre(frames, kind):
-    off = errors(frames[kind])
+def test_block_poses_are_accurate_to_a_millimetre(frames, kind, depth):
+    off = errors(frames[kind], None if depth is None else frames[depth])
     assert np.isfinite(off).all()
     assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
     assert off[:, 1].max() < np.radians(1.5)
-
-
-@pytest.mark.slow
-def test_depth_does_not_harm(frames):
-    off = errors(frames["noisy"], frames["noisy_depth"])
-    assert np.median(off[:, 0]) < 5e-4 and off[:, 0].max() < 3e-3
 
 
 @pytest.mark.slow
@@ -199,19 +187,6 @@ def test_noise_has_the_configured_size(frames):
     assert (noisy - exact)[inside].std() == pytest.approx(2.0, rel=0.1)
 
 
-@pytest.mark.slow
-def test_the_block_is_as_heavy_as_the_papers(frames):
-    assert frames["mass"] == pytest.approx(0.83)
-
-
-@pytest.mark.slow
-def test_without_opengl_the_error_names_the_variable(tmp_path):
-    np.savez(tmp_path / "setup.npz", lens=[9.0] * 4 + [64, 48], camera=CAMERA, places=[[0.0] * 7])
-    done = in_process(RENDERED, "disabled", tmp_path / "setup.npz", tmp_path / "none.npz")
-    assert done.returncode == 1
-    assert "a rendered camera needs OpenGL without a screen: set MUJOCO_GL=egl" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -226,34 +201,16 @@ def test_a_block_that_cannot_be_tagged(change, said):
 
 def test_a_block_of_other_sides_has_its_tags_within_its_faces():
     sides = np.array([0.06, 0.03, 0.12])
-    for tag in tagged_block("block", np.zeros(3), first_tag=9, sides=sides).tagged.tags:
+    block = tagged_block("block", np.zeros(3), first_tag=9, sides=sides)
+    assert block.body.find("geom").get("mass") == "0.83", "the mass of the paper's block"
+    for tag in block.tagged.tags:
         assert (np.abs(tag.corners) < sides / 2.0 + 2e-4).all()
         out = tag.pose[:3, 2]
         assert tag.corners @ out == pytest.approx(np.abs(out) @ sides / 2.0, abs=2e-4)
 
 
-SETTINGS = CameraSettings()
-CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-
-
-def test_all_of_a_block_is_in_its_window() -> None:
-    lens, pose = SETTINGS.intrinsics, SETTINGS.pose
-    rng = np.random.default_rng(0)
-    for point in rng.uniform((0.3, -0.35, 0.05), (0.7, 0.35, 0.35), (200, 3)):
-        turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-        corners = (point + CORNERS * [0.02, 0.02, 0.05] @ turn - pose[:3, 3]) @ pose[:3, :3]
-        column = lens.fx * corners[:, 0] / corners[:, 2] + lens.cx
-        row = lens.fy * corners[:, 1] / corners[:, 2] + lens.cy
-        part = window_around(point, pose, lens)
-        assert part is not None and part.width == part.height and part.width <= 512
-        inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
-        assert inside.all()
-        assert part.left <= column.min() and column.max() < part.left + part.width
-        assert part.top <= row.min() and row.max() < part.top + part.height
-
-
 def test_a_window_stays_within_the_frame_and_there_is_none_out_of_view() -> None:
-    lens, pose = SETTINGS.intrinsics, SETTINGS.pose
+    lens, pose = CameraSettings().intrinsics, CameraSettings().pose
     for across in np.linspace(-0.9, 0.9, 37):
         part = window_around(np.array([0.5, across, 0.05]), pose, lens)
         if part is not None:

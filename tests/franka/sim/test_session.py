@@ -41,11 +41,6 @@ def test_only_the_session_of_a_dead_owner_is_replaced() -> None:
         session(os.getpid()).create()
 
 
-def test_the_error_of_a_missing_session_names_the_command() -> None:
-    with pytest.raises(InvalidInputError, match="contactgraph robot rehearse"):
-        find_session(ADDRESS)
-
-
 def test_addresses_of_other_machines_are_not_free() -> None:
     assert free_address(["192.0.2.1", ADDRESS]) == ADDRESS
     with pytest.raises(InvalidInputError, match=r"1337 and 1338 are not free at 192\.0\.2\.1"):

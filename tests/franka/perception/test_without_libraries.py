@@ -1,6 +1,7 @@
-"""RealSense without a loadable library, and its clock."""
+"""Perception without a loadable library, and the clock of a camera."""
 
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,11 +12,18 @@ from contactgraph_franka.perception.camera import FrameClock
 MODULE = "contactgraph_franka.perception.realsense"
 
 
-def test_without_the_library_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    monkeypatch.delitem(sys.modules, MODULE, raising=False)
-    with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[realsense\]'$"):
-        import contactgraph_franka.perception.realsense  # noqa: F401
+@pytest.mark.parametrize(
+    ("library", "module", "extra"),
+    [
+        ("pyrealsense2", MODULE, "realsense"),
+        ("pyapriltags", "contactgraph_franka.perception.tags", "robot"),
+    ],
+)
+def test_without_the_library_the_error_names_the_extra(library, module, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.delitem(sys.modules, module, raising=False)
+    with pytest.raises(InvalidInputError, match=rf"pip install 'contactgraph\[{extra}\]'$"):
+        import_module(module)
 
 
 @pytest.fixture
