@@ -29,9 +29,8 @@ print(f"recorded {len(recorded)} episodes of {steps} steps of {recorded.dt} s")
 
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
 train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
-model = hidden_markov_filter(
-    ModelConfig(2, 2, recorded.dt, contact_distance=0.1, width=16), key=jax.random.key(0)
-)
+made_for = ModelConfig(2, 2, recorded.dt, contact_distance=0.1, width=16)
+model = hidden_markov_filter(made_for, key=jax.random.key(0))
 config = TrainConfig(
     steps=400,
     check_every=100,
@@ -56,5 +55,6 @@ print(f"  without a model (constant velocity): {100 * unmoved:.2f} cm")
 print(f"  the verdict: {metrics.verdict}")
 print(f"  contact edges (F1): {metrics['edge_f1'] or 0.0:.2f}")
 
-save_model(folder / "model.safetensors", result.model, {"seed": 0, "steps": config.steps})
+training = {"seed": 0, "steps": config.steps}
+save_model(folder / "model.safetensors", result.model, "filter", made_for, training)
 print(f"wrote {folder / 'model.safetensors'}")

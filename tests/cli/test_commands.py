@@ -320,7 +320,8 @@ def test_control_says_that_the_data_came_from_another_engine(
 def test_control_in_space(tmp_path: Path) -> None:
     """Three degrees of freedom and another time step: the same command, files and numbers."""
     model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))
-    save_model(model, gim_temp(ModelConfig(3, 3, 0.01, 0.03, weight=True), key=jax.random.key(0)))
+    config = ModelConfig(3, 3, 0.01, 0.03, weight=True)
+    save_model(model, gim_temp(config, key=jax.random.key(0)), "gim-temp", config)
     plans = ["--horizon", 20, "--replan-every", 20]
     files = ["--json", result, "--save", episodes]
     done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)

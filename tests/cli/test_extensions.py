@@ -85,7 +85,7 @@ def own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     config = ModelConfig(2, 2, 0.05, 0.1)
     model = another_model.build(config, key=jax.random.key(0))
     (tmp_path / "run").mkdir()
-    save_model(tmp_path / "run/model.safetensors", model, {}, ("another_model:build", config))
+    save_model(tmp_path / "run/model.safetensors", model, "another_model:build", config)
     yield "another_model:build@run"
     sys.modules.pop("another_model", None)
 

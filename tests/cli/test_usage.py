@@ -178,8 +178,9 @@ def test_a_model_and_data_that_do_not_fit(mistake: Callable, trained: Path, tmp_
 
 
 def test_a_model_and_a_task_that_do_not_fit(mistake: Callable, tmp_path: Path) -> None:
-    model = gim_temp(ModelConfig(3, 2, 0.05), key=jax.random.key(0))
-    save_model(tmp_path / "m.safetensors", model)
+    config = ModelConfig(3, 2, 0.05)
+    model = gim_temp(config, key=jax.random.key(0))
+    save_model(tmp_path / "m.safetensors", model, "gim-temp", config)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.cli.output.Progress.advance", lambda *arguments: None)
         said = mistake("control", "m.safetensors", "pickup", "--episodes", 1, "--save", "a.h5")

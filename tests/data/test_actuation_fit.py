@@ -7,6 +7,8 @@ import pytest
 
 from contactgraph.data import Scene, Trajectory
 from contactgraph.data.actuation_fit import driving_components, fit_actuation, fit_theta
+from contactgraph.envs import CarryExpert, DelayTask
+from contactgraph.evaluate import collect
 
 DT = 0.05
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
@@ -97,3 +99,10 @@ def test_commands_drive_nothing() -> None:
     assert fit_actuation([run], 1.0)["hand"].matrix.shape == (2, 2)
     untold = driven(matrix, kind=None)
     np.testing.assert_array_equal(driving_components([untold]), [True, True, False])
+
+
+def test_a_force_gets_no_damper_from_rounding() -> None:
+    runs = collect([DelayTask], [CarryExpert()], episodes=4, seed=0)
+    assert runs[0].scene.control_kind is None
+    fit = fit_actuation(runs, fit_theta(runs))["gripper"]
+    assert (fit.damping, fit.stiffness) == (0.0, 0.0)

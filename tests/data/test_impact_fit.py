@@ -8,7 +8,7 @@ import pytest
 from contactgraph.data import Scene, Trajectory
 from contactgraph.data.actuation_fit import ActuationFit, fit_actuation
 from contactgraph.data.impact_fit import PLANE, fit_impacts
-from contactgraph.envs import BilliardsTask, RestPolicy, StrikingPolicy
+from contactgraph.envs import BilliardsTask, DoorExpert, DoorTask, RestPolicy, StrikingPolicy
 from contactgraph.evaluate import collect
 
 
@@ -58,3 +58,10 @@ def test_what_a_servo_moves_tells_nothing() -> None:
     assert laws.friction is None
     assert not fit_impacts(strikes, {"hand": servo})
     assert not fit_impacts(strikes[1:], {"hand": force})
+
+
+def test_a_hinged_body_is_not_taken_for_a_point() -> None:
+    """A door does not bounce off the gripper, but its centre is not where it is struck."""
+    doors = collect([DoorTask], [DoorExpert()], episodes=40, seed=0)
+    assert doors[0].scene.has_hinges
+    assert not fit_impacts(doors, fit_actuation(doors, 0.55))

@@ -25,11 +25,12 @@ from recordings import (
     speeds,
     table,
 )
+from scipy.spatial.transform import Rotation
 
 from contactgraph.cli.main import run
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.data.motion import body_motions, motion_warnings
-from contactgraph.interchange import Column, Episode, to_trajectories
+from contactgraph.interchange import Column, Episode, Recording, to_trajectories
 from contactgraph.interchange.conversion import state_after
 from contactgraph.interchange.csv_table import read_csv
 from contactgraph.interchange.draft import draft_map
@@ -668,3 +669,94 @@ def test_states_of_an_environment_follow_one_another() -> None:
         columns = {name: Column(np.array([[value]])) for name, value in numbers.items()}
         previous = state_after(MappedEpisode(Episode("one", columns), scene_map, 0.05), previous)
     np.testing.assert_allclose(previous["velocity"], [[2.0, 0.0]])
+
+
+def notes_of(recording: Recording, text: str) -> str:
+    scene_map = parse_map("map", f"dimension = 2\ntime = {{ dt = 0.05 }}\n{text}")
+    return "; ".join(to_trajectories(recording, scene_map)[1])
+
+
+GOAL = 'goal = ["{0}", "{0}"]\n'
+TWO = XY + BODY.replace("box", "hand").format('["y", "u"]')
+DRIVEN = "actuated = true\n"
+TARGET = '[[control]]\ncolumns = ["{}", "{}"]\nkind = "position"\nbody = "hand"\n'
+OTHERS = TARGET.format("x", "y") + TARGET.format("y", "u").replace("hand", "box")
+TOUCH = '[[contact]]\nbodies = ["box", "hand"]\ncolumns = {}\n'
+SWITCH = '[[control]]\ncolumns = "s"\nkind = "switch"\n'
+TURNED = '{}orientation = {{ columns = ["qw", "z", "z", "qz"], order = "wxyz" }}\n'
+FLIPPED = '{ columns = ["x", "y"], scale = [1, -1] }'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOAL.format("g") + XY, "goal moves within an episode"),
+        (GOAL.format("y") + XY, ""),
+        (TWO + TOUCH.format('"c"'), "and none at 0.4 m: inverted?"),
+        (TWO + TOUCH.format('"g"'), ""),
+        (XY + TWO[len(XY) :] + DRIVEN + TARGET.format("y", "u"), ""),
+        (XY + DRIVEN + TWO[len(XY) :] + DRIVEN + OTHERS, "targets of hand are where box is"),
+        (XY + SWITCH, "s must be 0 to 1, found 0 to 255"),
+        (XY + SWITCH + "scale = 0.00392157\n", ""),
+        (TURNED.format(XY), ""),
+        (TURNED.format(BODY.format(FLIPPED)), "its orientation is not: scale = -1?"),
+        (TURNED.format(XY.replace('"x", "y"', '"y", "x"')), "its position is mirrored"),
+    ],
+)
+def test_what_contradicts_the_motion_is_named(tmp_path: Path, text: str, message: str) -> None:
+    """Goals, contacts, targets of another body, switches and mirrored poses."""
+    near = TIME > 1.0
+    columns = {
+        "x": np.where(near, 0.6, 0.3 * TIME),
+        "y": np.ones(40),
+        "u": np.where(near, 1.0, 3.0 - TIME),
+        "g": 0.0 + near,
+        "c": 1.0 - near,
+        "s": 255.0 * near,
+        "z": np.zeros(40),
+        "qw": np.cos(0.1 * TIME),
+        "qz": np.sin(0.1 * TIME),
+    }
+    rows = np.stack([*columns.values()], axis=1).tolist()
+    recording = table(tmp_path, ",".join(columns), rows)
+    notes = [each for each in notes_of(recording, text).split("; ") if "not used" not in each]
+    assert message in "; ".join(notes) and bool(message) == any(notes)
+
+
+def test_a_slip_in_a_name_and_units_in_labels_are_refused(tmp_path: Path) -> None:
+    rows = np.hstack([ROWS[:, 1:], ROWS[:, 1:]]).tolist()
+    slip = table(tmp_path, "bowl_x,bowl_y,cup_x,cup_y", rows)
+    message = refused(slip, BODY.format('["bowl_x", "cup_y"]'))
+    assert "'bowl_x' goes with 'bowl_y', found 'cup_y'" in message
+    folder = lerobot_frames(tmp_path / "d", [ROWS[:, 1:]], 20)
+    info = json.loads((folder / "meta/info.json").read_text())
+    (name,) = (each for each in info["features"] if "state" in each)
+    info["features"][name]["names"] = ["tcp_x_mm", "tcp_y_mm"]
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    message = refused(read_lerobot(folder), BODY.format(f'"{name}[0:2]"'))
+    assert "'tcp_x_mm' is in mm: scale must be 0.001" in message
+
+
+def test_copies_of_an_episode_and_one_in_other_units_are_named(tmp_path: Path) -> None:
+    rows = [["a", *row] for row in ROWS.tolist()]
+    twice = table(tmp_path, "episode,time,x,y", rows + [["b", *row[1:]] for row in rows])
+    assert "episode b is that in a.csv: episode a: a copy?" in notes_of(twice, XY)
+    scales = zip("abc", (1.0, 1.1, 1e3), strict=True)
+    other = [[name, t, k * (x + 1), k * y] for name, k in scales for t, x, y in ROWS.tolist()]
+    found = imported(table(tmp_path, "episode,time,x,y", other), XY)
+    warned = "; ".join(motion_warnings(body_motions(Dataset(found))))
+    assert "times as far from the origin as usual in one trajectory" in warned
+
+
+def test_turn_rates_in_the_frame_of_the_body_are_named(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("xz", np.stack([0 * TIME + np.pi / 2, TIME], axis=1))
+    w, x, y, z = np.roll(turn.as_quat(), 1, axis=1).T
+    columns = [w, x, y, z, 0 * TIME, 0 * TIME, 0 * TIME + 1.0]
+    rows = np.column_stack([ROWS, ROWS[:, 2], *columns]).tolist()
+    recording = table(tmp_path, "time,x,y,z,qw,qx,qy,qz,wx,wy,wz", rows)
+    box = SPACE + BODY.format('["x", "y", "z"]')
+    box += 'orientation = { columns = ["qw", "qx", "qy", "qz"], order = "wxyz" }\n'
+    for text, many in (("", 0), ('["wx", "wy", "wz"]', 0), ('["wx", "wz", "wy"]', 1)):
+        keys = f"angular_velocity = {text}\n" if text else ""
+        warned = motion_warnings(body_motions(Dataset(imported(recording, box + keys))))
+        assert len(warned) == many and all("turn rates contradict" in each for each in warned)

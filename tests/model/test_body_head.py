@@ -21,8 +21,7 @@ from contactgraph.model import (
     bodies,
     scene_nodes,
 )
-from contactgraph.model.body_head import BodyHead
-from contactgraph.model.body_numbers import PACE
+from contactgraph.model.body_head import PACE, BodyHead
 from contactgraph.model.body_starts import told_numbers
 from contactgraph.model.filter import check_fit
 

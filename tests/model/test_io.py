@@ -15,14 +15,13 @@ from model_scenes import DT, PRESETS, preset
 
 from contactgraph.data import InvalidInputError
 from contactgraph.data.actuation_fit import ActuationFit
+from contactgraph.data.impact_fit import Impacts
+from contactgraph.model import PRESETS as NAMED
 from contactgraph.model import (
     ContactDynamics,
     GumbelSample,
     ModelConfig,
-    SmoothCutoff,
-    bodies,
     describe_model,
-    gim_temp,
     load_model,
     module_arrays,
     save_model,
@@ -51,17 +50,23 @@ TRAINING = {"command": "contactgraph train ä.h5", "seed": 3, "rmse_m": [0.001, 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("models") / "good.safetensors"
-    save_model(path, preset("gim_temp"), TRAINING)
+    save_model(path, preset("gim_temp"), "gim-temp", CONFIG, TRAINING)
     return path
 
 
+CONFIG = ModelConfig(2, 2, DT, width=16)
+"""Of `preset`."""
 SERVO = ActuationFit(100.0 * np.eye(2), np.zeros(2), 100.0, 15.0, residual=0.0)
+STRUCK = Impacts(0.25, 0.5, None)
 CONFIGS = {
-    "hinges": (gim_temp, ModelConfig(2, 2, DT, width=4, hinges=True)),
-    "weight": (gim_temp, ModelConfig(3, 3, DT, width=4, weight=True)),
-    "known distance": (gim_temp, ModelConfig(3, 2, DT, width=4, learned_contact_distance=False)),
+    "hinges": ("gim-temp", ModelConfig(2, 2, DT, width=4, hinges=True)),
+    "weight": ("gim-temp", ModelConfig(3, 3, DT, width=4, weight=True)),
+    "known distance": (
+        "gim-temp",
+        ModelConfig(3, 2, DT, width=4, learned_contact_distance=False),
+    ),
     "types": (
-        bodies,
+        "bodies",
         ModelConfig(
             *(2, 2, DT, 0.1),
             width=4,
@@ -69,10 +74,12 @@ CONFIGS = {
             actuation={"hand": SERVO},
             averaged=True,
             varying_mass=True,
+            slowing={"ball": (0.5, 2.0)},
+            impacts={("ball", "hand"): Impacts(0.5, None, 2.0), ("ball", "plane"): STRUCK},
         ),
     ),
     "boxes that turn": (
-        bodies,
+        "bodies",
         ModelConfig(
             *(3, 0, DT),
             width=4,
@@ -86,49 +93,40 @@ CONFIGS = {
 }
 
 
-def with_other_arguments() -> ContactDynamics:
-    return eqx.tree_at(
-        lambda model: (model.sample, model.cutoff),
-        preset("gim_temp", dimension=3),
-        (GumbelSample(0.3), SmoothCutoff(0.1, 0.7)),
-    )
-
-
-@pytest.mark.parametrize("name", [*PRESETS, *CONFIGS, "other arguments"])
+@pytest.mark.parametrize("name", [*PRESETS, *CONFIGS])
 def test_a_loaded_model_is_the_saved_one_bit_for_bit(name: str, tmp_path: Path) -> None:
-    if name in CONFIGS:
-        make, config = CONFIGS[name]
-        model = make(config, key=jax.random.key(0))
-    else:
-        model = preset(name) if name in PRESETS else with_other_arguments()
-    save_model(tmp_path / "model", model, TRAINING)
+    made_by, config = CONFIGS.get(name, (name.replace("_", "-"), CONFIG))
+    model = NAMED[made_by](config, key=jax.random.key(0)) if name in CONFIGS else preset(name)
+    save_model(tmp_path / "model", model, made_by, config, TRAINING)
     stored = load_model(tmp_path / "model")
     assert stored.training == TRAINING
     assert eqx.tree_equal(stored.model, model)
+    found, given = describe_model(tmp_path / "model").config, config
+    assert str(found).replace("[0.5, 1.0, 1.5]", "array([0.5, 1. , 1.5])") == str(given)
 
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_every_shipped_file_loads_and_is_saved_unchanged(name: str, tmp_path: Path) -> None:
     stored = load_model(shipped_model(name))
     header, arrays = parts(shipped_model(name))
-    assert header["format_version"] == 2
-    assert header["model"]["arguments"]["cutoff"]["type"] == "SmoothCutoff"
+    assert header["format_version"] == 3
     assert stored.training == header["training"]
     assert module_arrays(stored.model).keys() == arrays.keys()
     for path, array in module_arrays(stored.model).items():
         np.testing.assert_array_equal(array, arrays[path])
-    save_model(tmp_path / "again", stored.model, stored.training)
+    summary = describe_model(shipped_model(name))
+    made_by = summary.preset, summary.config
+    save_model(tmp_path / "again", stored.model, *made_by, stored.training)
     assert (tmp_path / "again").read_bytes() == shipped_model(name).read_bytes()
 
 
 def test_the_summary_describes_the_file(good: Path) -> None:
     summary = describe_model(good)
     assert summary.training == TRAINING
-    assert (summary.dimension, summary.control_size, summary.dt) == (2, 2, DT)
+    assert (summary.preset, summary.config) == ("gim-temp", CONFIG)
     assert summary.size == good.stat().st_size
     arrays = module_arrays(preset("gim_temp"))
     assert summary.parameter_count == sum(array.size for array in arrays.values())
-    assert summary.model["arguments"]["inference"]["type"] == "RecurrentEdges"
 
 
 def refusal(path: Path) -> str:
@@ -198,69 +196,37 @@ def test_files_of_another_kind(tmp_path: Path) -> None:
     assert "holds something else" in refusal(tmp_path / "other")
 
 
-def at(*names: str):
-    """A setter of one place in the header's model."""
-
-    def change(value: object):
-        def apply(header: dict) -> None:
-            place = header["model"]
-            for name in names[:-1]:
-                place = place["arguments"][name]
-            if names[-1] == "type":
-                place["type"] = value
-            else:
-                place["arguments"][names[-1]] = value
-
-        return apply
-
-    return change
+def config(**values: object):
+    """A change of the header's configuration."""
+    return lambda header: header["config"].update(values)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda header: header.update(format="x"), "field 'format' must be 'contactgraph-model'"),
-        (lambda header: header.update(format_version=1), "must be 2, found 1"),
-        (lambda header: header.update(format_version=3), "must be 2, found 3"),
-        (lambda header: header.update(format_version=True), "must be 2, found True"),
+        (lambda header: header.update(format_version=2), "must be 3, found 2"),
+        (lambda header: header.update(format_version=4), "must be 3, found 4"),
+        (lambda header: header.update(format_version=True), "must be 3, found True"),
         (lambda header: header.pop("training"), "field 'training' is missing"),
-        (lambda header: header.update(model=[]), "field 'model' is missing or of another type"),
+        (lambda header: header.update(config=[]), "field 'config' is missing or of another type"),
         (lambda header: header.update(checksum="0"), "checksum does not fit"),
         (lambda header: header["training"].update(seed=4), "checksum does not fit"),
-        (
-            at("type")("AllEdges"),
-            "model.type: must be ContactDynamics or RelationModel, found 'AllEdges'",
-        ),
-        (
-            at("type")("os.system"),
-            "model.type: must be ContactDynamics or RelationModel, found 'os.system'",
-        ),
-        (
-            at("cutoff", "type")("Nowhere"),
-            "model.arguments.cutoff.type: must be SmoothCutoff or NoCutoff, found 'Nowhere'",
-        ),
-        (
-            at("prior", "type")("NoPrior"),
-            "prior.type: must be DistancePrior or ClosestApproachPrior, found 'NoPrior'",
-        ),
-        (at("cutoff")(3), "model.arguments.cutoff: must be an object of 'type' and 'arguments'"),
-        (
-            at("cutoff", "size")(1),
-            "must be those of SmoothCutoff (inner, outer), found ['inner', 'outer', 'size']",
-        ),
-        (
-            at("cutoff", "outer")("wide"),
-            "cutoff.arguments.outer: must be a finite number, found 'wide'",
-        ),
-        (at("cutoff", "outer")(True), "arguments.outer: must be a finite number, found True"),
-        (at("features", "hinges")(1), "hinges: must be true or false, found 1"),
-        (at("dimension")(10**9), "dimension: must be an integer from 0 to 1024, found 1000000000"),
-        (at("dimension")(2.0), "dimension: must be an integer from 0 to 1024, found 2.0"),
-        (at("dt")(-1), "dt must be a positive number of seconds, found -1.0"),
-        (at("inference", "edge_types")(3), "one message network for each of the 2 active"),
-        (at("local_dynamics", "message_passing", "types")([]), "must be a list of 1 to 1024 parts"),
-        (at("inference", "message_passing", "width")(8), "array 'inference.message_passing."),
-        (at("dimension")(3), "checksum does not fit"),
+        (lambda header: header.update(preset="os.system"), "give their preset, os.system"),
+        (lambda header: header.update(sensor={"miss": 2.0}), "sensor must be that of a model"),
+        (lambda header: header.update(sensor={"loss": 0.5}), "sensor must be that of a model"),
+        (config(size=1), "config: 'size' is unknown"),
+        (config(contact_distance="wide"), "Expected `float`, got `str` - at `$.contact_distance`"),
+        (config(contact_distance=True), "Expected `float`, got `bool`"),
+        (config(hinges=1), "Expected `bool`, got `int` - at `$.hinges`"),
+        (config(dimension=10**9), "dimension must be 0 to 1024, found 1000000000"),
+        (config(dimension=2.5), "Expected `int`, got `float` - at `$.dimension`"),
+        (config(edge_types=99), "edge_types must be 2 to 16"),
+        (config(dt=-1), "dt must be a positive number of seconds, found -1.0"),
+        (config(impacts=[1]), "Expected `object`, got `array`"),
+        (config(actuation={"hand": {"matrix": [["x"]]}}), "could not convert string to float: 'x'"),
+        (config(width=8), "array 'inference.message_passing."),
+        (config(dimension=3), "checksum does not fit"),
     ],
 )
 def test_wrong_headers(change, message: str, good: Path, tmp_path: Path) -> None:
@@ -331,20 +297,18 @@ def test_single_precision_weights_are_read_as_such_in_a_double_session(good: Pat
 
 
 def test_unsupported_models_are_not_saved(tmp_path: Path) -> None:
-    model, path = preset("gim_temp"), tmp_path / "model"
+    model, path, made_by = preset("gim_temp"), tmp_path / "model", ("gim-temp", CONFIG)
     bad = eqx.tree_at(lambda model: model.features.contact_distance, model, jnp.array(jnp.nan))
     with pytest.raises(InvalidInputError, match=r"'features\.contact_distance' must be finite"):
-        save_model(path, bad)
+        save_model(path, bad, *made_by)
     for training in ({"loss": np.nan}, {"when": object()}, {1: "number as key"}):
         with pytest.raises(InvalidInputError, match="training must hold only JSON values"):
-            save_model(path, model, training)
+            save_model(path, model, *made_by, training)
 
-    class MyReach(eqx.Module):
-        pass
-
-    own = eqx.tree_at(lambda model: model.cutoff, model, MyReach())
-    with pytest.raises(InvalidInputError, match=r"model\.cutoff: must be SmoothCutoff or NoCutoff"):
-        save_model(path, own)
+    other = eqx.tree_at(lambda model: model.sample, model, GumbelSample(0.3))
+    for wrong in (other, preset("gim_temp", hinges=True), preset("gim_temp", width=8)):
+        with pytest.raises(InvalidInputError, match="'gim-temp' makes another model"):
+            save_model(path, wrong, *made_by)
     assert not list(tmp_path.iterdir())
 
 
@@ -355,25 +319,15 @@ def test_names_that_clash_and_keys_that_hide_are_refused() -> None:
         module_arrays({"key": jax.random.key(0)})
 
 
-def test_incompatible_parts_are_refused_at_loading(tmp_path: Path) -> None:
-    model, wide = preset("gim_temp"), preset("gim_temp", width=8)
-    head = wide.local_dynamics.head
-    mixed = eqx.tree_at(lambda model: model.local_dynamics.head, model, head)
-    save_model(tmp_path / "mixed", mixed)
-    assert "the model's parts do not fit" in refusal(tmp_path / "mixed")
-
-
 def test_a_model_with_custom_parts_is_rebuilt_by_its_preset(tmp_path: Path) -> None:
     path, config = tmp_path / "model", ModelConfig(2, 2, DT, width=4)
     model = eqx.tree_at(
         lambda m: m.sample.share, firm(config, key=jax.random.key(0)), jnp.asarray(0.25)
     )
-    with pytest.raises(InvalidInputError, match="found FirmSample"):
-        save_model(path, model)
-    save_model(path, model, preset=("mine:firm", config))
+    save_model(path, model, "mine:firm", config)
     with pytest.raises(InvalidInputError, match="give their preset, mine:firm"):
         load_model(path)
     loaded = load_model(path, firm).model
     assert float(loaded.sample.share) == 0.25
     assert eqx.tree_equal(loaded, model)
-    assert describe_model(path).dimension == 2
+    assert describe_model(path).config == config

@@ -18,6 +18,7 @@ from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ContactSensor,
+    ModelConfig,
     NeighborList,
     Nodes,
     SmoothCutoff,
@@ -245,9 +246,10 @@ def test_where_lists_cannot_be_they_are_refused(wrong: Callable[[], object], mes
 
 def test_a_model_file_has_no_neighbor_list(tmp_path: Path) -> None:
     model, near = preset("gim_temp"), near_pairs("gim_temp", max_edges=5000)
+    config = ModelConfig(2, 2, DT, width=16)
     listed, every = tmp_path / "listed.safetensors", tmp_path / "every.safetensors"
-    save_model(listed, near)
-    save_model(every, model)
+    save_model(listed, near, "gim-temp", config)
+    save_model(every, model, "gim-temp", config)
     assert listed.read_bytes() == every.read_bytes()
     assert load_model(listed).model.neighbor_list is None
 

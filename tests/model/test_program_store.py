@@ -20,7 +20,7 @@ from contactgraph.model import (
     scene_nodes,
     shipped_model,
 )
-from contactgraph.model.program_store import once, stored
+from contactgraph.model.program_store import stored
 
 LIMITS = ControlLimits(jnp.zeros(2), jnp.ones(2))
 Step = Callable[[Any, jax.Array], Any]
@@ -211,21 +211,6 @@ def test_where_nothing_can_be_kept_programs_are_traced(
     assert traces and not files(folder) and not (folder / "gs:").exists()
 
 
-def test_a_check_that_passed_is_not_made_again(folder: Path) -> None:
-    """The check has a name, and is about values, so that it shows whether it is made."""
-    ones: Any = np.ones(2)
-    for _ in range(2):
-        with pytest.raises(AssertionError):
-            once(np.testing.assert_array_equal, jnp.zeros(2), ones)
-    once(np.testing.assert_array_equal, jnp.ones(2), ones)
-    once(np.testing.assert_array_equal, jnp.zeros(2), ones)
-    with pytest.raises(AssertionError):
-        once(np.testing.assert_array_equal, jnp.zeros(3), ones)
-    with pytest.raises(AssertionError):
-        once(np.testing.assert_array_less, jnp.ones(2), ones)
-    assert len(files(folder)) == 1
-
-
 def plans(mpc: ActiveSetMPC) -> list[np.ndarray]:
     """All that three control steps carry, among five distractors."""
     task = PickupTask(distractors=5)
@@ -252,8 +237,8 @@ def test_a_controller_plans_the_same(folder: Path, caplog: pytest.LogCaptureFixt
         with jax.log_compiles():
             found.append(plans(ActiveSetMPC(model, ILQR(horizon=4, iterations=2))))
         compiled.append([line for line in caplog.messages if line.startswith("Compiling")])
-    # The check of the model, a step for each of two sizes, and a second first carry.
-    assert len(files(folder)) == 4
+    # A step for each of two sizes, and a second first carry.
+    assert len(files(folder)) == 3
     (traced, _, read), (expected, _, again) = found, compiled
     # The same arguments, too: one that is not used would be passed in each step.
     assert again and set(again) <= set(expected)

@@ -58,7 +58,8 @@ def _print_names() -> None:
     width = 2 + max(map(len, (*shipped_models(), *task_names(), own_task)))
     for name in shipped_models():
         summary = describe_model(shipped_model(name))
-        print(f"  {name:<{width}}{summary.parameter_count} parameters, steps of {summary.dt:g} s")
+        dt = summary.config.dt
+        print(f"  {name:<{width}}{summary.parameter_count} parameters, steps of {dt:g} s")
     print("tasks:")
     for name in task_names():
         try:
@@ -101,12 +102,13 @@ def _print_model(name: str) -> None:
     except InvalidInputError as error:  # parts of the user's own, without their preset
         distance = f"unknown ({error})"
     print(f"{name}: model, {summary.parameter_count} parameters, {summary.size} bytes")
-    print(f"  degrees of freedom  {summary.dimension} a node, control {summary.control_size}")
-    print(f"  dt                  {summary.dt} s")
+    config = summary.config
+    print(f"  preset              {summary.preset}")
+    print(f"  degrees of freedom  {config.dimension} a node, control {config.control_size}")
+    print(f"  dt                  {config.dt} s")
     print(f"  contact distance    {distance}")
     for key, value in summary.training.items():
         print(f"  {key:<19} {_text(value)}")
-    print(f"  parts               {_text(summary.model)}")
 
 
 def _print_cost(path: Path) -> None:

@@ -10,23 +10,17 @@ from contactgraph.cli.options import AUTO, TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     PAPER_PRESETS,
+    PRESETS,
     ContactDynamics,
     ContactSensor,
     DistancePrior,
     MotionNoise,
     Preset,
     PriorEdges,
-    bodies,
     check_motion_model,
     describe_model,
-    full_ab,
-    gim_non_temp,
-    gim_temp,
-    hidden_markov_filter,
     load_model,
     motion_noise,
-    no_gim,
-    relations,
     shipped_model,
     shipped_models,
 )
@@ -37,17 +31,6 @@ if TYPE_CHECKING:
 
 FILTERS = ("filter", "bodies")
 """Models whose edges have types, and whose belief is a hidden Markov filter."""
-MODELS: dict[str, Preset] = {
-    "filter": hidden_markov_filter,
-    "bodies": bodies,
-    "relations": relations,
-    "gim-temp": gim_temp,
-    "gim-non-temp": gim_non_temp,
-    "no-gim": no_gim,
-    "full-ab": full_ab,
-    **PAPER_PRESETS,
-}
-
 _MADE_BY = re.compile(r"(?P<preset>[\w.]+:[\w.]+)@(?P<name>.+)")
 _STEP_TOLERANCE = 1e-6
 """Relative difference of time steps that counts as none."""
@@ -55,7 +38,7 @@ _STEP_TOLERANCE = 1e-6
 
 def model_preset(name: str) -> Preset:
     """The preset of a name, or a function ``module:factory`` that is called like a preset."""
-    return load_object("--model", name) if ":" in name else choice("--model", name, MODELS)
+    return load_object("--model", name) if ":" in name else choice("--model", name, PRESETS)
 
 
 def run_folder(name: str) -> Path | None:

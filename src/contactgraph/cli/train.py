@@ -94,7 +94,6 @@ class Train:
         from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
             FILTERS,
-            MODELS,
             check_edge_types,
             contact_distance_text,
             held_out_text,
@@ -118,6 +117,7 @@ class Train:
             velocity_warning,
             without_turns,
         )
+        from contactgraph.model import PRESETS
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
         from contactgraph.train import (
@@ -144,7 +144,7 @@ class Train:
             quick = options.model in (AUTO, *FILTERS)
             options = replace(options, steps=750 if quick else 2000)
         if ":" not in options.model:
-            choice("--model", options.model, {AUTO: None, **MODELS})
+            choice("--model", options.model, {AUTO: None, **PRESETS})
         check_edge_types(options.model, options.edge_types)
         paper = paper_options(options.model, options.graph, options.sampling, options.temperature)
         check_weight("--prior-weight", options.prior_weight)
@@ -173,7 +173,6 @@ class Train:
         for flag, used in (("--use-contacts", options.use_contacts), ("--sensor", estimates)):
             if used:
                 check_contacts(model, dataset, f"{flag}: {self.data}")
-        made_by = (options.model, chosen.config) if ":" in options.model else None
         state = initial_state(model, config, options.seed)
         spent = 0.0
         if self.resume:
@@ -215,7 +214,8 @@ class Train:
             if baselines is not None:
                 result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
             best = replace(chosen.in_data_units(state.best_model), sensor=sensor)
-            save_model(folder.model_path, best, {**summary, **result}, made_by)
+            made_by = chosen.name, chosen.in_data
+            save_model(folder.model_path, best, *made_by, {**summary, **result})
 
         print("\n".join(["chosen by data and options:", *chosen.lines()]), flush=True)
         warning = velocity_warning(recorded)

@@ -31,7 +31,8 @@ SERVO_KINDS = ("position", "displacement", "velocity")
 DRIVING_KINDS = ("force", *SERVO_KINDS)
 """Kinds of control that move the body on which they act."""
 _BETTER = 0.5
-"""Residual of a servo with a target in the world, as a share of one without, if it has one."""
+"""Residual of a servo as a share of a force's, or of one with a target in the world as a share of
+that of one without, if it is one."""
 
 _CLEAR = 1.1
 """Contact distances from the nearest body at which a body slides by itself."""
@@ -134,7 +135,8 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
     """Trimmed least squares over the steps of each actuated type, by name.
 
     A target in the world has a spring, a displacement or a velocity only a damper, a force neither.
-    Where `Scene.control_kind` is not told, there is a spring if that halves the residual.
+    Where `Scene.control_kind` is not told, there is a damper, or a spring, if that halves the
+    residual: of exact data the sign of a rounding error would else decide.
     """
     trajectories = tuple(trajectories)
     drives = driving_components(trajectories)
@@ -150,9 +152,10 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
         if told is not None:
             fit = _fit(rows, theta, dt, absolute="position" in told, damped=told != {"force"})
         else:
-            fit = _fit(rows, theta, dt, absolute=False, damped=True)
-            spring = _fit(rows, theta, dt, absolute=True, damped=True)
-            fit = spring if spring.residual < _BETTER * fit.residual else fit
+            fit = _fit(rows, theta, dt, absolute=False, damped=False)
+            for absolute in (False, True):
+                servo = _fit(rows, theta, dt, absolute=absolute, damped=True)
+                fit = servo if servo.residual < _BETTER * fit.residual else fit
         fits[name] = fit
     return fits
 

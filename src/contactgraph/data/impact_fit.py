@@ -41,7 +41,8 @@ def fit_impacts(
 ) -> dict[tuple[str, str], Impacts]:
     """By the names of two types in their order, or of a type and `PLANE`.
 
-    Robust fits over impacts of bodies that no servo moves with each other and with planes.
+    Robust fits over impacts of bodies that no servo moves, and none hinged, with each other and
+    with planes.
     Straight paths before and after tell time and normal; the relative velocity tells bounce and
     friction (up to 0.48), whatever the masses, and momentum tells the ratio of masses. Pairs of
     which fewer than ten impacts are seen are left out.
@@ -81,12 +82,15 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
     before = (each.velocity[:-1] + 0.5 * pushed) / unit
     after = (each.velocity[1:] - 0.5 * pushed) / unit
     meets = ~(np.linalg.norm(after - before, axis=-1) <= _KINKS)
+    hinged = np.zeros(len(kind), bool)
+    if scene.anchor is not None:
+        hinged = np.isfinite(scene.anchor).all(axis=-1)
     fixed = np.flatnonzero(np.zeros(len(kind), bool) if scene.static is None else scene.static)
     normals = np.zeros((0, scene.dimension)) if scene.planes is None else scene.planes[:, :-1]
     for step in np.flatnonzero(meets.any(axis=1)):
         x, v = each.position[step : step + 2], np.stack([before[step], after[step]])
         struck = np.flatnonzero(meets[step])
-        if len(struck) > 2 or np.isnan(v[0, struck]).any():
+        if len(struck) > 2 or hinged[struck].any() or np.isnan(v[0, struck]).any():
             continue
         one, found = struck[0], []
         for other in struck[1:] if len(struck) == 2 else fixed:

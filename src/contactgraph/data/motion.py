@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.turns import rotation_vectors, turn_between
+from contactgraph.data.turns import angular_velocity, rotation_vectors, turn_between
 
 _ISOLATED = 10.0
 """Times the steps before and after it, and the median of those in which the body moves, from which
@@ -17,8 +17,12 @@ _TURNING, _COARSE = 0.01, 0.5
 """rad: the least step of a body that turns, and the median of such steps that looks odd."""
 _FEW, _MOST = 5, 0.8
 """Waits between moves that are too few to tell, and the share of equal ones that tells."""
-_OTHER_RATE = 2.0
-"""Times the rate of the poses, from which on a recorded turn rate is another."""
+_OTHER_RATE = 0.5
+"""Of the turns between poses, from which on recorded turn rates are off."""
+_FAST = 100.0
+"""m/s, from which on a body's speed looks odd."""
+_LARGER = 100.0
+"""Times as far from the origin as in the median trajectory, from which on one is in other units."""
 _TURNS = 0.5
 """rad: the least sum of turns that is compared."""
 _STANDS = 0.01
@@ -48,9 +52,10 @@ class BodyMotion:
     """What rows that are no measurements each look like; empty: nothing."""
     turn: float
     """rad: the median of the steps in which the body turns; 0: it does not."""
-    rate_ratio: float
-    """Of the recorded turn rates, summed over time, to the turns between poses; 1 where nothing
-    turns."""
+    rate_error: float
+    """Of the recorded turn rates, summed over time, relative to the turns between poses."""
+    larger: float
+    """Largest distance from the origin, relative to that in the median trajectory."""
     drift: float
     """Largest distance from the first position of a static node, relative to the extent of all."""
     unmeasured: float
@@ -87,10 +92,15 @@ def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
     for each in motions:
         signs = {
             f"positions of {each.name} {each.pattern}": each.pattern,
-            f"{each.name} turns by {each.turn:.3g} rad in a step and more: are angles in degrees, "
-            "which need a scale?": each.turn > _COARSE,
-            f"turn rates contradict orientations: those of {each.name} are {each.rate_ratio:.3g} "
-            "times as large; check their unit": not 1 / _OTHER_RATE < each.rate_ratio < _OTHER_RATE,
+            f"{each.name} turns by {each.turn:.3g} rad in a step and more: angles in degrees, or "
+            "flips?": each.turn > _COARSE,
+            f"turn rates contradict orientations: those of {each.name} are off by "
+            f"{each.rate_error:.3g} of the turns; check unit and frame": (
+                each.rate_error > _OTHER_RATE
+            ),
+            f"{each.name} moves at {each.speed:.3g} m/s; check scale and dt": each.speed > _FAST,
+            f"{each.name} is {each.larger:.3g} times as far from the origin as usual in one "
+            "trajectory: another unit?": each.larger > _LARGER,
             f"{each.name} is static, but moves: is it?": each.drift > _STANDS,
         }
         found += [sign for sign, there in signs.items() if there]
@@ -99,8 +109,9 @@ def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
 
 def _motion(dataset: Dataset, name: str) -> BodyMotion:
     fastest, rate, largest, jumps = 0.0, [], (0.0, 0, 0.0), 0
-    turn_jumps, turned, integral, drift = 0, 0.0, 0.0, 0.0
+    turn_jumps, turned, off, drift = 0, 0.0, 0.0, 0.0
     pattern, turns, tracked = "", list[np.ndarray](), list[np.ndarray]()
+    places: list[float] = []
     for index, each in enumerate(dataset):
         if name not in each.scene.node_name:
             continue
@@ -110,6 +121,7 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         largest = max(largest, (float(steps[at]), index, dt * (at + 1)))
         fastest = max(fastest, float(steps[at]) / dt)
         jumps += _jumps(steps)
+        places.append(float(np.abs(each.position[:, node]).max()))
         pattern = pattern or _pattern(each.position[:, node], steps)
         if each.orientation is not None:
             turn = each.orientation[:, node]
@@ -119,9 +131,12 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
             turn_jumps += _jumps(np.nan_to_num(between))
             turns.append(between[between > _TURNING])
             if each.angular_velocity is not None:
-                speed = dt * np.linalg.norm(each.angular_velocity[1:, node], axis=-1)
-                both = np.isfinite(speed) & np.isfinite(between)
-                turned, integral = turned + between[both].sum(), integral + speed[both].sum()
+                both = np.isfinite(between) & np.isfinite(each.angular_velocity[1:, node, 0])
+                poses = each.orientation[:, node]
+                rates = angular_velocity(poses[:-1][both], poses[1:][both], dt)
+                apart = rates - each.angular_velocity[1:, node][both]
+                turned += dt * float(np.linalg.norm(rates, axis=-1).sum())
+                off += dt * float(np.linalg.norm(apart, axis=-1).sum())
         if each.scene.static is not None and each.scene.static[node]:
             away = np.linalg.norm(each.position[:, node] - each.position[0, node], axis=1).max()
             extent = np.linalg.norm(np.ptp(each.position, axis=(0, 1)))
@@ -129,11 +144,25 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         if each.tracked is not None:
             tracked.append(each.tracked[:, node])
     lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
-    ratio = integral / turned if max(integral, turned) > _TURNS and turned else 1.0
+    error = off / turned if max(off, turned) > _TURNS and turned else 0.0
+    larger = max(places) / max(float(np.median(places)), np.finfo(float).tiny)
     top = max(rate, default=None)
     usual = float(np.median(np.concatenate(turns))) if any(map(len, turns)) else 0.0
     return BodyMotion(
-        *(name, fastest, top, *largest, jumps, turn_jumps, pattern, usual, ratio, drift, lost)
+        *(
+            name,
+            fastest,
+            top,
+            *largest,
+            jumps,
+            turn_jumps,
+            pattern,
+            usual,
+            error,
+            larger,
+            drift,
+            lost,
+        )
     )
 
 

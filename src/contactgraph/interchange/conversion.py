@@ -1,6 +1,5 @@
 """Recordings to trajectories, by an import map."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +8,12 @@ import numpy as np
 from contactgraph.data import InvalidInputError, Trajectory
 from contactgraph.data.turns import angular_velocity, quaternions_of, rotations
 from contactgraph.interchange import resampling
+from contactgraph.interchange.contradictions import (
+    check_counts,
+    check_frames,
+    doubts_of,
+    doubts_of_motion,
+)
 from contactgraph.interchange.measurements import (
     STATE,
     MappedEpisode,
@@ -49,6 +54,7 @@ def to_trajectories(
     doubts: set[str] = set()
     resampled: list[float] = []
     left = 0
+    same: dict[bytes, str] = {}
     for episode in recording.episodes:
         try:
             if dt is None:
@@ -58,8 +64,12 @@ def to_trajectories(
                 )
             mapped = MappedEpisode(episode, scene_map, dt, recording.dt)
             parts, seconds = _converted(mapped)
-            doubts.update(_doubts(mapped))
+            doubts.update(doubts_of(mapped))
             kept = [_within_bounds(each, scene_map) for each in parts]
+            for each in parts:
+                other = same.setdefault(each.position.tobytes(), episode.name)
+                if other != episode.name and np.ptp(each.position, axis=0).any():
+                    doubts.add(f"the motion in {episode.name} is that in {other}: a copy?")
         except InvalidInputError as error:
             name = f"{episode.name}: " * (len(recording.episodes) > 1)
             raise InvalidInputError(f"{recording.where}: {name}{error}") from error
@@ -71,6 +81,7 @@ def to_trajectories(
         raise InvalidInputError(
             f"{recording.where}: no step of dt = {dt:g} s in which all is known and in its bounds"
         )
+    doubts.update(doubts_of_motion(scene_map, recording.episodes[0], found))
     there = {name: None for each in recording.episodes for name in (*each.columns, *each.others)}
     used = set.union(*(each.used for each in recording.episodes))
     unused = [name for name in there if name not in used]
@@ -95,13 +106,13 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
         name: [finite_rows(mapped, each.entries) for each in getattr(mapped.map, name)]
         for name in ("controls", "contact", "holding")
     }
-    _check_frames(mapped.map, tracks)
+    check_frames(mapped.map, tracks)
     moving = [each.times for each in tracks.values() if not each.fixed]
     if not moving:
         raise InvalidInputError("the position of at least one body must be recorded")
     times = max(moving, key=len)
     states = len(times)
-    _check_counts(mapped)
+    check_counts(mapped)
     apart = float(np.median(np.diff(times))) if states > 1 else 0.0
     for unit, scale in _UNITS.items():
         if abs(apart * scale / mapped.dt - 1.0) < _SAME_STEP:
@@ -134,61 +145,6 @@ def _converted(mapped: MappedEpisode) -> tuple[list[Trajectory], float | None]:
     parts = resampling.even_times(moving, controls, mapped.dt, mapped.map.max_gap)
     left = np.ptp(np.concatenate(moving + controls)) - sum(map(np.ptp, parts))
     return [_trajectory(mapped, tracks, rows, at) for at in parts], float(left)
-
-
-def _check_counts(mapped: MappedEpisode) -> None:
-    """Refuses columns without times whose rows cannot belong together."""
-    columns = mapped.episode.columns
-    counts = {
-        name: len(columns[name].values)
-        for name in sorted(mapped.episode.used & set(columns))
-        if columns[name].stamps is None
-    }
-    if counts and max(counts.values()) > min(counts.values()) + 1:
-        shown = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise InvalidInputError(
-            f"columns without times must have a row for each state, or one less, found {shown}"
-        )
-
-
-def _check_frames(scene_map: SceneMap, tracks: dict[str, Track]) -> None:
-    """Refuses positions that the recording says are in different frames, unless the map does."""
-    frames = {name: track.frame for name, track in tracks.items() if track.frame}
-    for body in scene_map.bodies:
-        if body.base is not None and frames.get(body.name, "") == frames.get(body.base):
-            raise InvalidInputError(
-                f"{scene_map.where}: {body.name}: must be recorded in the frame of {body.base}, "
-                f"found both in {frames[body.name]!r}"
-            )
-        if body.in_frame_of is not None:
-            frames.pop(body.name, None)
-    if len(set(frames.values())) > 1:
-        found = ", ".join(f"{name} in {frame!r}" for name, frame in frames.items())
-        raise InvalidInputError(
-            f"{scene_map.where}: positions must be in one frame, found {found}; "
-            'in_frame_of = "BODY" is for a pose in the frame of another body'
-        )
-
-
-def _doubts(mapped: MappedEpisode) -> Iterator[str]:
-    """Lines about controls that are in another frame than the positions, or have gaps."""
-    found, episode = mapped.map, mapped.episode
-    frames = {body.position.read(episode).frame for body in found.bodies} - {""}
-    for pair in (*found.contact, *found.holding):
-        _, values = finite_rows(mapped, pair.entries)
-        where, names, low, high = pair.entries.where, pair.entries.names, values.min(), values.max()
-        if low < 0.0 or high > 1.0:
-            raise InvalidInputError(f"{where}: {names} must be 0 to 1, found {low:g} to {high:g}")
-        if 0.0 < high <= 0.5:
-            yield f"{where}: {names} is never above 0.5, from where on bodies count as touching"
-    for each in found.controls:
-        where, frame = each.entries.where, each.entries.read(episode).frame
-        if frame and frames and frame not in frames:
-            others = ", ".join(sorted(frames))
-            yield f"{where} is in the frame {frame}, positions in {others}: do these not turn?"
-        times, _ = finite_rows(mapped, each.entries)
-        if np.diff(times).max(initial=0.0) > found.max_gap:
-            yield f"{where} has gaps of more than {found.max_gap:g} s, in which it holds"
 
 
 def _within_bounds(trajectory: Trajectory, scene_map: SceneMap) -> Trajectory | None:

@@ -58,7 +58,7 @@ def read_lerobot(source: Path) -> Recording:
         )
     fps = positive_at(info, "fps")
     features = info.inner("features")
-    widths, others = {"episode_index": 1, "index": 1}, {}
+    widths, others, labels = {"episode_index": 1, "index": 1}, {}, {}
     for name in features.content:
         if name in _CLOCKS:
             widths[name] = 1
@@ -67,6 +67,9 @@ def read_lerobot(source: Path) -> Recording:
             kind, shape = feature.text("dtype"), feature.content.get("shape")
             if kind in _NUMBERS and isinstance(shape, list) and len(shape) == 1:
                 widths[name] = int(feature.numbers("shape", (1,))[0])
+                given = feature.content.get("names")
+                if isinstance(given, list) and len(given) == widths[name]:
+                    labels[name] = tuple(map(str, given))
             else:
                 others[name] = f"{kind} of shape {shape}"
     files, frames, total = [], 0, info.count("total_frames", 1)
@@ -100,7 +103,10 @@ def read_lerobot(source: Path) -> Recording:
     episodes = []
     for rows in np.split(np.arange(frames), np.flatnonzero(begins)[1:]):
         times = None if stamps is None else _CLOCK_STEP * np.round(stamps[rows] / _CLOCK_STEP)
-        found = {name: Column(values[rows], times) for name, values in columns.items()}
+        found = {
+            name: Column(values[rows], times, labels=labels.get(name, ()))
+            for name, values in columns.items()
+        }
         episodes.append(Episode(f"episode {index[rows[0]]:g}", found, others))
     stated = info.content.get("total_episodes", len(episodes))
     if stated != len(episodes):

@@ -4,6 +4,7 @@ import re
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ _LARGEST = 1e300
 _SI = {"mm": 1e-3, "cm": 1e-2, "km": 1e3, "mN": 1e-3, "deg": np.pi / 180, "degrees": np.pi / 180}
 _SI |= dict.fromkeys(("px", "latitude", "longitude"), np.nan)
 """SI units per unit that a name tells; NaN where that depends."""
+_AXIS = re.compile(r"(.*[^A-Za-z])([xyzXYZ])")
 _UNIT = re.compile(rf"(?:^|[^A-Za-z])({'|'.join(_SI)})(?:/s)?[)\]]?(?:\[|$)")
 
 
@@ -59,13 +61,17 @@ class Entries:
             values[(recorded == missing).all(axis=1)] = np.nan
         axes = "".join(each.axes for each in columns)
         found = replace(first, values=values, axes=axes)
-        for name in self.columns:
-            unit, scale = _UNIT.search(str(name)), np.abs(self.scale)
+        width, labels = found.values.shape[1], [each for c in columns for each in c.labels]
+        names: list[tuple[Any, Any]] = [(name, self.scale) for name in self.columns]
+        if len(labels) == width and len(self.scale) in (1, width):
+            names += zip(labels, np.broadcast_to(self.scale, width)[:, None], strict=True)
+        for name, each in names:
+            unit, scale = _UNIT.search(str(name)), np.abs(each)
             if unit and (np.all(scale == 1.0) or np.all(np.abs(scale / _SI[unit[1]] - 1.0) > 0.1)):
                 raise InvalidInputError(
                     f"{self.where}: {name!r} is in {unit[1]}: scale must be {_SI[unit[1]]:.6g}"
                 )
-        width = found.values.shape[1]
+        self._check_stems(episode)
         if widths and width not in widths:
             wanted = " or ".join(map(str, widths))
             raise InvalidInputError(f"{self.where} must have {wanted} numbers, found {width}")
@@ -75,6 +81,17 @@ class Entries:
                     f"{self.where}: {name} must be 1 or {width} numbers, found {len(each)}"
                 )
         return replace(found, values=found.values * self.scale + self.offset)
+
+    def _check_stems(self, episode: Episode) -> None:
+        """Refuses an axis of another body where there is the own one."""
+        found = [_AXIS.fullmatch(each) for each in self.columns if isinstance(each, str)]
+        axes = [each for each in found if each is not None]
+        for one, other in pairwise(axes):
+            own = one[1] + other[2]
+            if one[1] != other[1] and own in episode.columns and own not in self.columns:
+                raise InvalidInputError(
+                    f"{self.where}: {one[0]!r} goes with {own!r}, found {other[0]!r}"
+                )
 
 
 def same_times(one: Column, other: Column) -> bool:

@@ -230,10 +230,28 @@ def _orientation(turn: Turn, column: Column, dimension: int) -> np.ndarray:
     return every
 
 
+def _ends(entries: Entries) -> list[str]:
+    """The last letter or digit of each column's name."""
+    return [str(each).rstrip("]")[-1].lower() for each in entries.columns]
+
+
+def is_mirrored(body: BodyMap) -> bool:
+    """Whether names and scales tell that a planar position and a quaternion are of other hands."""
+    turn, ends = body.orientation, _ends(body.position)
+    axes = ["xyz".find(each) if each in "xyz" else "012".find(each) for each in ends]
+    if turn is None or not turn.order or len(set(axes)) != 2 or -1 in axes:
+        return False
+    axis, scale = turn.axis or "z", np.broadcast_to(np.sign(turn.entries.scale), 4)
+    by_turn = scale[turn.order.index(axis)] * scale[turn.order.index("w")]
+    hand = 1.0 if (axes[1] - axes[0]) % 3 == 1 else -1.0
+    hand *= np.prod(np.broadcast_to(np.sign(body.position.scale), 2))
+    return sum(axes) + "xyz".index(axis) == 3 and bool(hand != by_turn)
+
+
 def _changes_axes(entries: Entries, order: str = "") -> bool | None:
     """Whether columns of x, y and z, or of 0, 1 and 2, are in another order or negated; None: their
     names do not tell. ``order`` is that of a quaternion."""
-    ends = [str(each).rstrip("]")[-1].lower() for each in entries.columns]
+    ends = _ends(entries)
     if len(ends) == 4:
         ends = [end for end, axis in zip(ends, order, strict=False) if axis != "w"]
     known = len(ends) == 1 or set(ends) <= set("xyz") or all(map(str.isdigit, ends))

@@ -34,6 +34,8 @@ class Column:
     axes: str = ""
     """What the numbers are, where the format or a name tells it: the letters of ``wxyz``, or of
     Euler angles in SciPy's notation."""
+    labels: tuple[str, ...] = ()
+    """Of each number, where the format tells them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,12 @@ class Episode:
         if not start < stop <= width:
             raise InvalidInputError(f"{reference!r} must lie in {name}[0:{width}]")
         part = slice(start, stop)
-        return replace(column, values=column.values[:, part], axes=column.axes[part])
+        return replace(
+            column,
+            values=column.values[:, part],
+            axes=column.axes[part],
+            labels=column.labels[part],
+        )
 
 
 @dataclass(frozen=True, eq=False)

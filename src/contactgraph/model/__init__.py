@@ -31,6 +31,7 @@ from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff
 from contactgraph.model.interaction_cutoff import interaction_cutoff as interaction_cutoff
+from contactgraph.model.io import PRESETS as PRESETS
 from contactgraph.model.io import ModelSummary as ModelSummary
 from contactgraph.model.io import StoredModel as StoredModel
 from contactgraph.model.io import describe_model as describe_model

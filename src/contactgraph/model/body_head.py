@@ -6,14 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
-from contactgraph.model.body_numbers import PACE, BodyNumbers
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
-from contactgraph.model.contacts import Contacts, damper_of
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.convex import Patch
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.pins import with_pins, with_pins_held
@@ -27,6 +26,10 @@ from contactgraph.model.planes import (
 from contactgraph.model.polygons import as_near
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
+PACE = 5.0
+"""Scale of each type's numbers in their parameters, which learn faster than weights by this."""
+DECELERATION = 10.0
+"""Unit of decelerations by the ground, in units of speed a second."""
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""
 _ROUGH = 0.454
@@ -42,7 +45,7 @@ _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
 
 
-class BodyHead(BodyNumbers):
+class BodyHead(eqx.Module):
     """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
@@ -50,6 +53,20 @@ class BodyHead(BodyNumbers):
     spring. A *hold* couples bodies in all directions, a *touch* where they meet, with friction.
     """
 
+    log_mass: Float[Array, " types"]
+    """Of the mass in kg, in units of `PACE`; motion determines masses up to a common factor."""
+    damper_raw: Float[Array, " types"]
+    """Of the damper to the ground, 1/s: softplus(`PACE` x - 6)."""
+    deceleration_raw: Float[Array, " types"]
+    """Of the deceleration by the ground, in units of `DECELERATION`: softplus(`PACE` x - 6)."""
+    bounce_raw: Float[Array, " types+1"]
+    """A touch bounces with sigmoid(`PACE` (x_i + x_j) - 3). The last is that of planes."""
+    friction_raw: Float[Array, " types+1"]
+    """A touch has the coefficient of friction softplus(`PACE` (x_i + x_j) - 4)."""
+    log_inertia: Float[Array, "types ..."] | None
+    """Of squared radii of gyration by `turn_length`, in space about axes, over `PACE`; or none."""
+    log_spread: Float[Array, " types"] | None
+    """Of the spread of log masses in a type, in units of `PACE`, or none."""
     plane_distance: Float[Array, " types"]
     """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
     plane_raw: Float[Array, " types"]
@@ -62,6 +79,11 @@ class BodyHead(BodyNumbers):
     length: float = eqx.field(static=True)
     varying_mass: bool = eqx.field(static=True)
     identified: bool = eqx.field(static=True)
+    speed: float = eqx.field(static=True)
+    turn_length: float | None = eqx.field(static=True)
+    told: tuple[str, ...] = eqx.field(static=True)
+    """Parameters that trajectories told directly, and that are not learned: gradients through
+    impacts are noise, and lead away from them."""
 
     def __init__(
         self,
@@ -81,20 +103,67 @@ class BodyHead(BodyNumbers):
     ):
         """``slots``: most actuated nodes; ``length`` [m]: about the contact distance; ``speed``:
         unit of speeds, m/s; what follows them: see `ModelConfig`."""
+        axes = () if actuation.dimension == 2 else (3,)
         # Products have no weak type, with which the first training update would recompile.
-        self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
-        self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
-        self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
-        on_planes = _ROUGH if identified else -_ROUGH
-        self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(on_planes)
-        self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
+        with jax.ensure_compile_time_eval():
+            self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
+            self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
+            self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
+            on_planes = _ROUGH if identified else -_ROUGH
+            self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(on_planes)
+            self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
+            still = 0.0 * jnp.ones((node_types, *axes))
+            self.log_inertia = None if turn_length is None else still
+            self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
         self.edge, self.actuation = eqx.nn.MLP(width, 3, width, 1, key=key), actuation
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.identified = averaged, speed, identified
         self.turn_length, self.varying_mass, self.told = turn_length, varying_mass, told
-        axes = () if actuation.dimension == 2 else (3,)
-        self.log_inertia = None if turn_length is None else 0.0 * jnp.ones((node_types, *axes))
-        self.log_spread = self.damper_raw - np.log(2.0) / PACE if varying_mass else None
+
+    def slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
+        """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
+        damper, deceleration = (
+            jax.nn.softplus(PACE * node_type @ self._learned(name) - 6.0)
+            for name in ("damper_raw", "deceleration_raw")
+        )
+        return damper, DECELERATION * self.speed * deceleration
+
+    def mass(
+        self, node_type: Float[Array, "N types"], log_ratio: Float[Array, " N"] | float
+    ) -> Float[Array, " N"]:
+        """kg, with the logarithm of that in units of the type's own; see `log_mass`."""
+        log_mass = self.log_mass
+        if self.log_spread is not None:  # learned by what the motion of each body tells
+            log_mass = jax.lax.stop_gradient(log_mass)
+        return jnp.exp(PACE * node_type @ log_mass + log_ratio)
+
+    def mass_ratio(self, node_type: Float[Array, "N types"], size: int) -> Float[Array, "N G"]:
+        """The mass of every coordinate, in units of that of the body."""
+        ratio = jnp.ones((len(node_type), size))
+        if self.log_inertia is None:
+            return ratio
+        inertia = jnp.exp(PACE * node_type @ self.log_inertia).reshape(len(node_type), -1)
+        return ratio.at[:, size - inertia.shape[1] :].multiply(inertia)
+
+    def laws(
+        self,
+        node_type: Float[Array, "N types"],
+        one: Int[Array, " C"],
+        other: Int[Array, " C"] | None = None,
+    ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+        """Bounce and coefficient of friction of touches of nodes with others, or with planes."""
+
+        def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
+            each = node_type @ raw[:-1]
+            return PACE * (each[one] + (raw[-1] if other is None else each[other]))
+
+        bounce = MAX_COUPLING * jax.nn.sigmoid(both(self._learned("bounce_raw")) - 3.0)
+        return bounce, jax.nn.softplus(both(self._learned("friction_raw")) - 4.0)
+
+    def _learned(self, name: str) -> Float[Array, " types"]:
+        """The parameter, without a gradient where `told` has it."""
+        raw = getattr(self, name)
+        return jax.lax.stop_gradient(raw) if name in self.told else raw
 
     def coasting(
         self,

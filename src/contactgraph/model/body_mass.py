@@ -18,8 +18,7 @@ from jaxtyping import Array, Float
 from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.body_head import BodyHead
-from contactgraph.model.body_numbers import PACE
+from contactgraph.model.body_head import PACE, BodyHead
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import (

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.impact_fit import PLANE, Impacts
-from contactgraph.model.body_head import BodyHead
-from contactgraph.model.body_numbers import DECELERATION, PACE
+from contactgraph.model.body_head import DECELERATION, PACE, BodyHead
 
 _LEAST, _MOST = 1e-3, 0.99
 """Of bounce and friction."""

@@ -1,41 +1,62 @@
-"""Model files: safetensors weights with a JSON header that rebuilds the model."""
+"""Model files: a preset, its configuration, and arrays (safetensors with a JSON header)."""
 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
+import msgspec
 import numpy as np
 import safetensors
 import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.impact_fit import Impacts
 from contactgraph.data.json_fields import parse_json
+from contactgraph.model.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.presets import ModelConfig, Preset
-from contactgraph.model.program_store import once
-from contactgraph.model.serialization import (
-    Description,
-    build,
-    describe,
-    module_arrays,
-    with_arrays,
+from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab
+from contactgraph.model.presets import (
+    ModelConfig,
+    Preset,
+    bodies,
+    gim_non_temp,
+    gim_temp,
+    hidden_markov_filter,
+    no_gim,
 )
-from contactgraph.model.types import ModelState, Nodes
+from contactgraph.model.relation_model import relations
+from contactgraph.model.serialization import module_arrays, with_arrays
 
 FORMAT = "contactgraph-model"
-VERSION = 2
+VERSION = 3
 # A single entry, because safetensors writes several in an order that changes between processes.
 _ENTRY = "contactgraph"
 _HEADER_LIMIT = 2_000_000
 _DTYPES = ("float32", "float64")
+_FIELDS: dict[str, Any] = {
+    **{"preset": str, "config": dict, "sensor": dict | None},
+    **{"training": dict, "checksum": str},
+}
+_NEEDED = "dimension", "control_size", "dt"
+_SENSOR = "false_alarm", "miss", "reports_touch", "delay"
+PRESETS: dict[str, Preset] = {
+    "filter": hidden_markov_filter,
+    "bodies": bodies,
+    "relations": relations,
+    "gim-temp": gim_temp,
+    "gim-non-temp": gim_non_temp,
+    "no-gim": no_gim,
+    "full-ab": full_ab,
+    **PAPER_PRESETS,
+}
+"""By the names in files and commands."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +73,11 @@ class ModelSummary:
     """Content of a model file."""
 
     format_version: int
-    model: Description
-    """Constructor arguments, nested."""
+    preset: str
+    """Of `PRESETS`, or ``module:factory``."""
+    config: ModelConfig
     training: dict[str, Any]
     """Free-form JSON: command, seed, data, errors, versions, …"""
-    dimension: int
-    """D, degrees of freedom per node."""
-    control_size: int
-    """U"""
-    dt: float
-    """s"""
     parameter_count: int
     size: int
     """Size of the file, bytes."""
@@ -70,23 +86,30 @@ class ModelSummary:
 def save_model(
     path: str | Path,
     model: ContactDynamics,
+    preset: str,
+    config: ModelConfig,
     training: Mapping[str, Any] | None = None,
-    preset: tuple[str, ModelConfig] | None = None,
 ) -> None:
     """Write a model to ``path``, atomically: the file is the old or the whole new one at any time.
 
-    `training` is anything that JSON can represent. The same model gives the same bytes. `preset`,
-    name ``module:factory`` and argument of the function that made the model, is stored where a part
-    is not of this package. Raises `InvalidInputError` for such a part without it, for weights that
-    are not finite, a `training` that is not JSON, or a folder that is not writable.
+    ``preset`` made it for ``config``: a name of `PRESETS`, or ``module:factory`` of your own.
+    `training` is anything that JSON can represent. The same model gives the same bytes. Raises
+    `InvalidInputError` for another model than the preset makes, weights that are not finite, a
+    `training` that is not JSON, or a folder that is not writable.
     """
     path = Path(path)
-    arrays = module_arrays(model)
+    plain = _plain(model)
+    arrays = module_arrays(plain)
     _check_weights(arrays, str(path))
+    if ":" not in preset and not _same_structure(plain, _shapes(_preset(preset, path), config)):
+        raise InvalidInputError(f"{path}: preset {preset!r} makes another model for this config")
+    sensor = getattr(model, "sensor", None)
     header = {
         "format": FORMAT,
         "format_version": VERSION,
-        "model": _described(model, preset),
+        "preset": preset,
+        "config": _config_fields(config),
+        "sensor": sensor and {name: getattr(sensor, name) for name in _SENSOR},
         "training": dict(training or {}),
     }
     try:
@@ -113,15 +136,24 @@ def load_model(path: str | Path, preset: Preset | None = None) -> StoredModel:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        shapes = _shapes(header["model"], preset, path)
+        config = _config(header, path)
+        made_by = preset or _preset(header["preset"], path)
+        try:
+            shapes = _shapes(made_by, config)
+        except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+            reason = " ".join(str(error).split())
+            raise InvalidInputError(f"{path}: config cannot be built ({reason})") from error
         arrays = {name: _weights(file, name, path) for name in file.keys()}  # noqa: SIM118
     _check_weights(arrays, str(path))
     if header.pop("checksum") != _checksum(header, arrays):
         raise InvalidInputError(f"{path}: checksum does not fit the content: the file is damaged")
     dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
     model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
-    once(_check_fit, model, str(path))
-    return StoredModel(model, header["training"])
+    try:
+        sensor = header["sensor"] and ContactSensor(**header["sensor"])
+    except (TypeError, InvalidInputError) as error:
+        raise InvalidInputError(f"{path}: sensor must be that of a model ({error})") from error
+    return StoredModel(replace(model, sensor=sensor) if sensor else model, header["training"])
 
 
 def describe_model(path: str | Path) -> ModelSummary:
@@ -131,47 +163,78 @@ def describe_model(path: str | Path) -> ModelSummary:
     """
     path = Path(path)
     with _opened(path) as (file, header):
-        model = header["model"]
-        own = "preset" in model
-        shapes: Any = _config(model, path) if own else _shapes(model, None, path)
+        config = _config(header, path)
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
         format_version=header["format_version"],
-        model=model,
+        preset=header["preset"],
+        config=config,
         training=header["training"],
-        dimension=shapes.dimension,
-        control_size=shapes.control_size,
-        dt=shapes.dt,
         parameter_count=sum(sizes),
         size=path.stat().st_size,
     )
 
 
-def _described(model: ContactDynamics, preset: tuple[str, ModelConfig] | None) -> Description:
-    try:
-        return describe(model)
-    except InvalidInputError:
-        if preset is None:
-            raise
-        return {"preset": preset[0], "config": asdict(preset[1])}
+def _plain(model: ContactDynamics) -> ContactDynamics:
+    """Without what changes no prediction: the neighbor list and the sensor."""
+    if not isinstance(model, ContactDynamics):
+        return model
+    return replace(model, neighbor_list=None, sensor=None)
 
 
-def _shapes(description: Description, preset: Preset | None, path: Path) -> ContactDynamics:
+def _preset(name: str, path: Path) -> Preset:
+    if name not in PRESETS:
+        raise InvalidInputError(f"{path}: has parts of your own; give their preset, {name}")
+    return PRESETS[name]
+
+
+def _shapes(preset: Preset, config: ModelConfig) -> ContactDynamics:
     """The model with shapes in place of weights."""
-    if "preset" not in description:
-        return build(description, f"{path}: model")
-    if preset is None:
-        made_by = description["preset"]
-        raise InvalidInputError(f"{path}: has parts of your own; give their preset, {made_by}")
-    config = _config(description, path)
     return eqx.filter_eval_shape(lambda: preset(config, key=jax.random.PRNGKey(0)))
 
 
-def _config(description: Description, path: Path) -> ModelConfig:
+def _same_structure(one: ContactDynamics, other: ContactDynamics) -> bool:
+    """Whether two models differ in their weights alone."""
+
+    def shapes(each: Any) -> list[Any]:
+        return [getattr(leaf, "shape", leaf) for leaf in jax.tree.leaves(each)]
+
+    structures = {jax.tree.structure(each) for each in (one, other)}
+    return len(structures) == 1 and shapes(one) == shapes(other)
+
+
+def _config_fields(config: ModelConfig) -> dict[str, Any]:
+    """As JSON; fields that have their defaults are left out."""
+    plain = ModelConfig(config.dimension, config.control_size, config.dt)
+    impacts: dict[str, dict[str, Impacts]] = {}
+    for (one, other), each in config.impacts.items():
+        impacts.setdefault(one, {})[other] = each
+    given = {each.name: getattr(config, each.name) for each in fields(config)} | {
+        "impacts": impacts
+    }
+    kept = {
+        name: value
+        for name, value in given.items()
+        if name in _NEEDED or value != getattr(plain, name)
+    }
+    return msgspec.to_builtins(kept, enc_hook=np.ndarray.tolist)
+
+
+def _config(header: dict[str, Any], path: Path) -> ModelConfig:
+    given = dict(header["config"])
+    names = {each.name for each in fields(ModelConfig)}
+    if not set(given) <= names:
+        raise InvalidInputError(f"{path}: config: {min(set(given) - names)!r} is unknown")
     try:
-        return ModelConfig(**description["config"])
-    except (KeyError, TypeError) as error:
-        raise InvalidInputError(f"{path}: model.config must be a ModelConfig ({error})") from error
+        impacts = msgspec.convert(given.pop("impacts", {}), dict[str, dict[str, Impacts]])
+        given["impacts"] = {}
+        config = msgspec.convert(
+            given, ModelConfig, dec_hook=lambda kind, value: np.array(value, float)
+        )
+    except (TypeError, ValueError, InvalidInputError) as error:
+        raise InvalidInputError(f"{path}: config must be that of a model ({error})") from error
+    pairs = {(one, other): each for one, row in impacts.items() for other, each in row.items()}
+    return replace(config, impacts=pairs)
 
 
 @contextmanager
@@ -211,8 +274,8 @@ def _header(path: Path, metadata: dict[str, str]) -> dict[str, Any]:
         raise InvalidInputError(
             f"{path}: header field 'format_version' must be {VERSION}, found {version!r}"
         )
-    for name, kind in {"model": dict, "training": dict, "checksum": str}.items():
-        if not isinstance(header.get(name), kind):
+    for name, kind in _FIELDS.items():
+        if not isinstance(header.get(name, ...), kind):
             raise InvalidInputError(f"{path}: header field {name!r} is missing or of another type")
     return header
 
@@ -259,22 +322,6 @@ def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
         return jax.ShapeDtypeStruct(leaf.shape, dtype) if abstract else leaf
 
     return jax.tree.map(change, shapes)
-
-
-def _check_fit(model: ContactDynamics, where: str) -> None:
-    """Trace one step of two nodes, to check that the parts fit together."""
-    still = jnp.zeros((2, model.coordinates))
-    nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
-
-    def step(control: jax.Array) -> ModelState:
-        belief = model.initial_belief(still, still, nodes)
-        return model.step(ModelState(still, still, belief), control, nodes)
-
-    try:
-        jax.eval_shape(step, jnp.zeros(model.control_size))
-    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InvalidInputError(f"{where}: the model's parts do not fit ({reason})") from error
 
 
 _FOLDER = Path(__file__).resolve().parent.parent / "pretrained"

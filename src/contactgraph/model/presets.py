@@ -40,6 +40,8 @@ from contactgraph.model.local_dynamics import (
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
 
+_MOST = 1024
+"""Of any width or count; bounds the memory that a damaged file can ask for."""
 _MOST_EDGE_TYPES = 16
 _MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04
 """Least probability of a transition in a step, and in a second of shorter steps."""
@@ -113,6 +115,10 @@ class ModelConfig:
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
     def __post_init__(self) -> None:
+        for name in ("dimension", "control_size", "width", "actuated_nodes", "substeps"):
+            size = getattr(self, name)
+            if size is not None and not 0 <= size <= _MOST:
+                raise InvalidInputError(f"{name} must be 0 to {_MOST}, found {size}")
         if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
             raise InvalidInputError(
                 f"edge_types must be 2 to {_MOST_EDGE_TYPES}: free (0), touch (1) and types that "
@@ -203,11 +209,13 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     )
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
+    with jax.ensure_compile_time_eval():  # starts are numbers, also where shapes alone are asked
+        drives = Actuation.from_fits(features.types, config.dimension, driving, config.actuation)
     head = BodyHead(
         width,
         features.node_types,
         length=config.contact_distance,
-        actuation=Actuation.from_fits(features.types, config.dimension, driving, config.actuation),
+        actuation=drives,
         slots=config.actuated_nodes,
         averaged=config.averaged,
         speed=config.speed,

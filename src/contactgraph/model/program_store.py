@@ -76,19 +76,6 @@ def stored(call: Callable, static: Any, like: int | None = None) -> Callable:
     return traced
 
 
-def once(check: Callable[..., None], about: Any, where: str) -> None:
-    """Calls ``check(about, where)``, which raises, unless it passed in an earlier process.
-
-    It must depend on the structure, shapes and static parts of ``about`` alone. As with programs,
-    it is always called where JAX keeps none.
-    """
-    path = _path(check, about)
-    if path is None or not path.exists():
-        check(about, where)
-        if path is not None:
-            _write(path, b"")
-
-
 def note_bindings(package: str) -> None:
     """Remember what the names of a package's modules and classes are bound to.
 
