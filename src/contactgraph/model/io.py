@@ -217,7 +217,7 @@ def _config_fields(config: ModelConfig) -> dict[str, Any]:
         for name, value in given.items()
         if name in _NEEDED or value != getattr(plain, name)
     }
-    return msgspec.to_builtins(kept, enc_hook=np.ndarray.tolist)
+    return msgspec.to_builtins(kept, enc_hook=lambda each: each.tolist())
 
 
 def _config(header: dict[str, Any], path: Path) -> ModelConfig:
