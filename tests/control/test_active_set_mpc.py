@@ -212,7 +212,7 @@ def test_the_active_set_never_exceeds_its_limit(model):
     dense, after = mpc.step(near, None, state)
     assert dense.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in dense.outcome.message
     np.testing.assert_array_equal(dense.controls[:-1], plan.controls[1:])
-    np.testing.assert_array_equal(after.last.control, dense.controls[0])
+    np.testing.assert_array_equal(after.carry.filter.control, dense.controls[0])
     assert mpc.step(scene(11), None, after)[0].outcome.solved
     with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
         mpc.reset(near, nodes, cost())
@@ -286,7 +286,11 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
             observed["velocity"][0, 0] = speed
             plan, state = mpc.step(observed, None, state, np.array([4.0, 0.0]))
         answers.append(
-            (plan.controls, state.last.belief.probability[:3], state.last.motion_log_odds[:3])
+            (
+                plan.controls,
+                state.last.belief.probability[:3],
+                state.carry.filter.motion_log_odds[:3],
+            )
         )
     assert len(state.node_ids) == 5
     for ours, wanted in zip(*answers, strict=True):

@@ -21,6 +21,7 @@ from contactgraph.control import (
     chain_cost,
     shift_plan,
 )
+from contactgraph.control.mpc import MPCState
 from contactgraph.data import InvalidInputError
 from contactgraph.model import LinearDynamics, ModelState, two_type_belief
 
@@ -120,14 +121,20 @@ def test_goal_changes_the_plan(mpc, start):
     assert np.max(np.abs(here.controls[0] - there.controls[0])) > 0.1
 
 
+def half_sure(start: MPCState) -> MPCState:
+    """The same, with this belief about every pair."""
+    belief = two_type_belief(jnp.full(6, 0.3))
+    known = dataclasses.replace(start.carry.filter, predicted=belief)
+    return dataclasses.replace(start, carry=dataclasses.replace(start.carry, filter=known))
+
+
 def test_a_measured_contact_corrects_the_belief_and_changes_the_plan(mpc, start):
     # Both stand 0.15 m apart: out of the model's reach, so that only the sensor can know.
     observation = scene()
     observation["position"][0] = [-0.05, 0.1]
     touching = np.zeros((3, 3))
     touching[0, 1] = touching[1, 0] = 1.0
-    half_sure = dataclasses.replace(start.carry, belief=two_type_belief(jnp.full(6, 0.3)))
-    believing = dataclasses.replace(start, carry=half_sure)
+    believing = half_sure(start)
     plans = {}
     for name, contacts in (("none", np.zeros((3, 3))), ("touch", touching), ("unknown", None)):
         plans[name], after = mpc.step(observation, contacts, believing)
@@ -139,8 +146,7 @@ def test_a_measured_contact_corrects_the_belief_and_changes_the_plan(mpc, start)
 
 
 def test_contacts_may_be_measured_in_part(mpc, start):
-    half_sure = dataclasses.replace(start.carry, belief=two_type_belief(jnp.full(6, 0.3)))
-    believing = dataclasses.replace(start, carry=half_sure)
+    believing = half_sure(start)
     contacts = np.full((3, 3), np.nan)
     contacts[0, 1] = 1.0  # the other direction stays unmeasured
     plan, _ = mpc.step(scene(), contacts, believing)

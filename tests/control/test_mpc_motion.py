@@ -75,7 +75,7 @@ def test_after_a_late_step_the_control_is_that_of_the_plan_that_was_returned(inf
     late, after = inferring.step(observed([0.1, 0.1]), None, state)
     CLOCK.period = 0.0
     assert late.outcome == PlanStatus.DEADLINE_MISSED
-    np.testing.assert_array_equal(after.last.control, late.controls[0])
+    np.testing.assert_array_equal(after.carry.filter.control, late.controls[0])
     assert np.any(late.controls[0] != after.plan.controls[0])
 
 
@@ -107,7 +107,9 @@ def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
     plan, after = mpc.step(observed([0.1, 0.1]), None, state)
     # Independent of earlier observations and controls.
     carry = eqx.tree_at(
-        lambda m: (m.last.position, m.last.motion_log_odds), state.carry, replace_fn=jnp.ones_like
+        lambda m: (m.filter.before.position, m.filter.motion_log_odds),
+        state.carry,
+        replace_fn=jnp.ones_like,
     )
     forgetful = replace(state, carry=carry)
     other, _ = mpc.step(observed([0.1, 0.1]), None, forgetful, PUSH)

@@ -60,3 +60,13 @@ def test_both_laws_are_told_apart_and_a_pushed_body_tells_nothing() -> None:
     assert list(found) == ["block"]
     np.testing.assert_allclose(found["block"], (0.5, 2.0), rtol=0.02)
     assert not fit_slowing([slides(pushed=True)], 0.1, ROUND)
+
+
+def test_a_body_that_glides_is_not_slowed_by_what_it_meets() -> None:
+    """Fifteen steps of four hundred lose speed: no ground does that."""
+    velocity = np.zeros((401, 1, 2))
+    velocity[:, 0, 0] = np.where(np.arange(401) % 27 == 0, 0.4, 0.5)
+    position = np.cumsum(0.05 * velocity, axis=0)
+    scene = Scene(("puck",), ("puck",), np.zeros(1, bool), 0.05)
+    glides = Trajectory(scene, position, velocity, np.zeros((400, 2)))
+    assert not fit_slowing([glides], 0.1, ROUND)

@@ -17,7 +17,7 @@ from contactgraph.control.host import (
     padded_motion,
     placed,
 )
-from contactgraph.control.mpc_step import LastObservation, MPCCarry, MPCConfig, jit_step
+from contactgraph.control.mpc_step import MPCCarry, MPCConfig, jit_step
 from contactgraph.control.plan import Plan, Planner, PlanStatus
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import InvalidInputError
@@ -25,6 +25,7 @@ from contactgraph.data.turns import near_turn
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
+    ModelState,
     MotionNoise,
     Nodes,
     StepModel,
@@ -57,12 +58,12 @@ class MPCState:
     @property
     def belief(self) -> ContactBelief:
         """About the step that leads to the next observation, not yet corrected by its contacts."""
-        return self.carry.belief
+        return self.carry.filter.predicted
 
     @property
-    def last(self) -> LastObservation:
-        """The last observation, the belief about the step before it, and the control after it."""
-        return self.carry.last
+    def last(self) -> ModelState:
+        """The last observation, and the belief about the step that led there."""
+        return self.carry.filter.before
 
 
 class MPC:
@@ -259,7 +260,7 @@ class MPC:
             raise InvalidInputError("replan=False needs a replan_every above 1")
         position, velocity = (each[state.node_ids] for each in motion)
         if position.shape[1] == 6:  # a turn in space is observed up to whole turns
-            unit, last = turn_length_of(self.config.model), np.asarray(state.carry.last.position)
+            unit, last = turn_length_of(self.config.model), np.asarray(state.last.position)
             position[:, 3:] = unit * near_turn(position[:, 3:] / unit, last[:, 3:] / unit)
         carry = self._step(
             state.nodes,
@@ -284,5 +285,5 @@ class MPC:
         if status is None:
             return after.plan, after
         plan = self._previous(state.carry, np.asarray(status, np.int32))
-        last = replace(after.last, control=placed(np.asarray(plan.controls)[0]))
-        return plan, replace(after, carry=replace(after.carry, last=last))
+        known = replace(after.carry.filter, control=placed(np.asarray(plan.controls)[0]))
+        return plan, replace(after, carry=replace(after.carry, filter=known))

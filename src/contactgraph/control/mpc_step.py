@@ -16,51 +16,27 @@ from contactgraph.control.host import placed
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import (
-    ContactBelief,
     ContactSensor,
-    MassBelief,
     ModelState,
     MotionNoise,
     Nodes,
     StepModel,
-    check_motion_model,
     control_sensitivity,
-    correct,
-    correct_by_motion,
-    correct_masses,
-    first_masses,
     with_control_displacement,
     with_masses,
 )
+from contactgraph.model.filter import FilterState, first_filter_state, update
 from contactgraph.model.program_store import stored
-
-
-class LastObservation(eqx.Module):
-    """The last observation with its belief and control, from which motion is judged."""
-
-    position: Float[Array, "N D"]
-    """m; NaN before the first control step."""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    belief: ContactBelief
-    """About the step that led there, corrected by all that was observed."""
-    motion_log_odds: Float[Array, " E"]
-    """See `MotionEvidence`."""
-    control: Float[Array, " U"]
-    """N, of the plan that was returned."""
 
 
 class MPCCarry(eqx.Module):
     """Arrays that one compiled control step hands to the next."""
 
-    belief: ContactBelief
-    """About the step that leads to the next observation, not yet corrected by its contacts."""
+    filter: FilterState
+    """Its belief is about the step that leads to the next observation."""
     plan: Plan
     """The last plan, as of the last observation."""
     steps_since_plan: Int[Array, ""]
-    last: LastObservation
-    masses: MassBelief | None
-    """By the motion so far. None: bodies of a type weigh alike."""
     is_first: Bool[Array, ""]
     """True until the first step, whose plan starts at its own observation, not before."""
 
@@ -86,7 +62,8 @@ class MPCConfig(eqx.Module):
         swept: SweptBounds | None,
     ) -> MPCCarry:
         """Before any control step: the model's first belief, and a plan without forces."""
-        belief = self.model.initial_belief(position, velocity, nodes)
+        first = first_filter_state(self.model, nodes, position, velocity, cost.control_size)
+        belief = first.predicted
         H, U, state = self.planner.horizon, cost.control_size, (len(position), 2, position.shape[1])
         plan = Plan(
             states=jnp.zeros((H + 1, *state)),
@@ -99,14 +76,10 @@ class MPCConfig(eqx.Module):
             node_ids=node_ids,
             swept=swept,
         )
-        unknown = jnp.full_like(position, jnp.nan)
-        odds = jnp.zeros(nodes.candidate.shape)
         return MPCCarry(
-            belief=belief,
+            filter=first,
             plan=plan,
             steps_since_plan=jnp.asarray(self.replan_every, jnp.int32),
-            last=LastObservation(unknown, unknown, belief, odds, jnp.zeros(U)),
-            masses=first_masses(self.model, nodes),
             is_first=jnp.ones((), bool),
         )
 
@@ -132,19 +105,11 @@ class MPCConfig(eqx.Module):
         usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
         due = jnp.where(replan < 0, carry.steps_since_plan >= self.replan_every, replan > 0)
         previous = self.previous_plan(carry)
-        last, odds = carry.last, carry.last.motion_log_odds
-        belief, masses = carry.belief, carry.masses
-        before = ModelState(last.position, last.velocity, last.belief)
-        nodes = with_masses(nodes, masses)
-        control = jnp.where(jnp.isfinite(applied), applied, last.control)
-        made = control, (position, velocity), nodes
-        if self.motion_noise is not None:
-            judge, given = check_motion_model(self.model), (*made, self.motion_noise)
-            belief, odds = correct_by_motion(judge, belief, before, odds, *given)
-        belief = correct(belief, contact, self.sensor)
-        masses = correct_masses(self.model, masses, before, belief, *made, self.motion_noise)
-        nodes = with_masses(nodes, masses)
-        now = ModelState(position, velocity, belief)
+        control = jnp.where(jnp.isfinite(applied), applied, carry.filter.control)
+        made = (position, velocity), contact, control
+        known = update(self.model, carry.filter, *made, nodes, self.sensor, self.motion_noise)
+        nodes = with_masses(nodes, known.masses)
+        now = known.before
 
         if self.replan_every == 1:
             # A plan is made even from a bad observation, which is rare, and then not used.
@@ -161,12 +126,11 @@ class MPCConfig(eqx.Module):
         plan = _where(failed, kept, plan)
         plan = _where(usable, plan, previous.with_status(PlanStatus.BAD_OBSERVATION))
         solved = plan.status <= PlanStatus.NO_DESCENT
+        predicted = jax.tree.map(lambda value: value[0], plan.beliefs)
         return MPCCarry(
-            belief=jax.tree.map(lambda value: value[0], plan.beliefs),
+            filter=replace(known, predicted=predicted, control=plan.controls[0]),
             plan=plan,
             steps_since_plan=jnp.where(solved, 1, carry.steps_since_plan + 1),
-            last=LastObservation(position, velocity, belief, odds, plan.controls[0]),
-            masses=masses,
             is_first=jnp.zeros((), bool),
         )
 

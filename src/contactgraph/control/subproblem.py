@@ -17,10 +17,10 @@ import numpy as np
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Motion, placed
 from contactgraph.control.mpc import MPCState
-from contactgraph.control.mpc_step import LastObservation
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import edge_id, pair_indices
-from contactgraph.model import ContactBelief, InteractionCutoff, Nodes
+from contactgraph.model import ContactBelief, InteractionCutoff, ModelState, Nodes
+from contactgraph.model.filter import FilterState
 
 _SMALLEST, _TIMES = 2, 3
 _HARDLY_MORE = 1.5
@@ -130,8 +130,9 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
             lambda old, new: _chosen(np.asarray(old), edge, np.asarray(new), -2), known, added
         )
 
-    carry, fresh = state.carry, new.carry.belief
-    plan, last = carry.plan, carry.last
+    carry, fresh = state.carry, new.carry.filter.predicted
+    plan, known = carry.plan, carry.filter
+    last = known.before
     position, velocity = (values[new.node_ids] for values in new.last_motion)
     motion = np.stack([position, velocity], axis=1)
     assert plan.swept is not None
@@ -143,18 +144,21 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         node_ids=new.plan.node_ids,
         swept=SweptBounds(nodes(plan.swept.lower, position), nodes(plan.swept.upper, position)),
     )
-    observed = LastObservation(
-        position=nodes(last.position, np.where(carry.is_first, np.nan, position)),
-        velocity=nodes(last.velocity, velocity),
-        belief=belief(last.belief, fresh),
-        motion_log_odds=_chosen(np.asarray(last.motion_log_odds), edge, np.zeros(1), -1),
-        control=last.control,
+    known = FilterState(
+        before=ModelState(
+            nodes(last.position, np.where(carry.is_first, np.nan, position)),
+            nodes(last.velocity, velocity),
+            belief(last.belief, fresh),
+        ),
+        control=known.control,
+        predicted=belief(known.predicted, fresh),
+        motion_log_odds=_chosen(np.asarray(known.motion_log_odds), edge, np.zeros(1), -1),
+        masses=jax.tree.map(
+            lambda old, begun: nodes(old, np.asarray(begun), -1),
+            *(known.masses, new.carry.filter.masses),
+        ),
     )
-    masses = jax.tree.map(
-        lambda old, begun: nodes(old, np.asarray(begun), -1), carry.masses, new.carry.masses
-    )
-    carry = replace(carry, belief=belief(carry.belief, fresh), plan=moved, last=observed)
-    return replace(new, carry=replace(carry, masses=masses))
+    return replace(new, carry=replace(carry, filter=known, plan=moved))
 
 
 def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:

@@ -52,6 +52,8 @@ _MOST_DAMPED = 10.0
 """Of a damper times dt: with a greater one a step hardly depends on it, and training that starts
 there does not get away."""
 _LEAST_STEPS = 10
+_SLOWED = 0.1
+"""Share of the steps in which a body moves by itself that must slow it."""
 
 
 @dataclass(frozen=True)
@@ -250,10 +252,12 @@ def fit_slowing(
     """Deceleration, m/s^2, and damper, 1/s, of each passive type that is seen to slide.
 
     Robust least squares of v' = w / (1 + dt c w / v) with w = max(v - dt a, 0), the implicit step
-    of `Contacts`, with a and c at least 0, over steps in which it does not gain speed and parts
-    from all bodies that are near: ``distances`` [T+1, N, N] m are those of a trajectory.
+    of `Contacts`, with a and c at least 0, over steps in which it loses speed and parts from all
+    bodies that are near: ``distances`` [T+1, N, N] m are those of a trajectory. A type is left out
+    that keeps its speed in many such steps.
     """
     rows: dict[str, list[np.ndarray]] = {}
+    seen: dict[str, int] = {}
     dt = 1.0
     for each in trajectories:
         scene, velocity, dt = each.scene, each.velocity, each.scene.dt
@@ -266,19 +270,21 @@ def fit_slowing(
         before, after = speed[:-1], speed[1:]
         rests = after < _RESTS * before
         straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * before * after
-        slides = (after < before) & (before > _MOVES * speed.max(initial=0.0))
-        slides &= clear & (straight | rests) & ~scene.actuated
+        alone = before > _MOVES * speed.max(initial=0.0)
+        alone &= clear & (straight | rests) & ~scene.actuated
+        slides = alone & (after < before)
         if scene.gravity is not None and scene.has_weight:
             up = scene.gravity / np.linalg.norm(scene.gravity)
             slides &= np.abs(velocity[:-1] @ up) < 0.1 * before
         for node, name in enumerate(scene.node_type):
             found = np.stack([before[:, node], after[:, node]], axis=1)[slides[:, node]]
             rows.setdefault(name, []).append(found)
+            seen[name] = seen.get(name, 0) + int(alone[:, node].sum())
     fits = {name: np.concatenate(found) for name, found in rows.items()}
     return {
         name: _slowing(rows[:, 0], rows[:, 1], dt)
         for name, rows in fits.items()
-        if len(rows) >= _LEAST_STEPS
+        if len(rows) >= max(_LEAST_STEPS, _SLOWED * seen[name])
     }
 
 

@@ -1,4 +1,4 @@
-"""Filtering of recorded trajectories: predict and correct the belief step by step."""
+"""The filter: corrections of a predicted belief by an observation; along recorded trajectories."""
 
 import dataclasses
 import math
@@ -22,8 +22,9 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
+from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
-from contactgraph.model.types import LinearDynamics, ModelState, StepModel
+from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel
 
 
 def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:
@@ -132,19 +133,60 @@ class FilteredTrajectory(eqx.Module):
     """[T+1, N] by the motion up to each state. None: bodies of a type weigh alike."""
 
 
-class _Carry(eqx.Module):
-    """The part of the filter that is carried from state to state."""
+class FilterState(eqx.Module):
+    """What is known between two observations."""
 
     before: ModelState
-    """The last state, with its corrected belief."""
+    """The last observation, NaN before the first, and the belief about the step that led there,
+    corrected by all that was observed."""
     control: Float[Array, " U"]
     """N, of the step since."""
-    motion_log_odds: Float[Array, " E"]
-    """See `MotionEvidence`."""
     predicted: ContactBelief
     """About that step."""
-    sensitivity: Float[Array, "N D W"]
+    motion_log_odds: Float[Array, " E"]
+    """See `MotionEvidence`."""
     masses: MassBelief | None
+    """By the motion so far. None: bodies of a type weigh alike."""
+
+
+def first_filter_state(
+    model: StepModel,
+    nodes: Nodes,
+    position: Float[Array, "N D"],
+    velocity: Float[Array, "N D"],
+    control_size: int,
+) -> FilterState:
+    """Before the observation of this first state: the model's first belief about it."""
+    belief = model.initial_belief(position, velocity, nodes)
+    nan, odds = jnp.full_like(position, jnp.nan), jnp.zeros(nodes.candidate.shape, velocity.dtype)
+    before, control = ModelState(nan, nan, belief), jnp.zeros(control_size)
+    return FilterState(before, control, belief, odds, first_masses(model, nodes))
+
+
+def update(
+    model: StepModel,
+    state: FilterState,
+    observed: Motion,
+    contact: Float[Array, " E"],
+    control: Float[Array, " U"],
+    nodes: Nodes,
+    sensor: ContactSensor,
+    noise: MotionNoise | None,
+) -> FilterState:
+    """Corrects the predicted belief by motion, then by contact, then the masses by motion.
+
+    ``control`` [N] acted in the step since the last observation. In the result it is to be replaced
+    by that of the next step, and the belief by the one predicted for that step.
+    """
+    before, belief, odds = state.before, state.predicted, state.motion_log_odds
+    nodes = with_masses(nodes, state.masses)
+    made = control, observed, nodes
+    if noise is not None:
+        judge, given = check_motion_model(model), (*made, noise)
+        belief, odds = correct_by_motion(judge, belief, before, odds, *given)
+    belief = correct(belief, contact, sensor)
+    masses = correct_masses(model, state.masses, before, belief, *made, noise)
+    return FilterState(ModelState(*observed, belief), control, belief, odds, masses)
 
 
 def filter_trajectory(
@@ -160,44 +202,33 @@ def filter_trajectory(
     ``motion_noise`` the motion corrects the belief, too: see `check_motion_model` for what that
     raises.
     """
-    sensor = sensor.as_current
+    sensor, nodes = sensor.as_current, trajectory.nodes
+    Carry = tuple[FilterState, Float[Array, "N D W"]]
 
     def follow(
-        carry: _Carry, step: tuple[Array, Array, Array, Array]
-    ) -> tuple[_Carry, FilteredTrajectory]:
-        position, velocity, contact, control = step
-        predicted, log_odds, masses = carry.predicted, carry.motion_log_odds, carry.masses
-        before, nodes = carry.before, with_masses(trajectory.nodes, masses)
-        made = carry.control, (position, velocity), nodes
-        if motion_noise is not None:
-            judge, given = check_motion_model(model), (*made, motion_noise)
-            predicted, log_odds = correct_by_motion(judge, predicted, before, log_odds, *given)
-        state = ModelState(position, velocity, correct(predicted, contact, sensor))
-        masses = correct_masses(model, masses, before, state.belief, *made, motion_noise)
-        nodes = with_masses(nodes, masses)
-        informed = with_control_displacement(model, state, carry.sensitivity, control, nodes)
-        linear, prior = model.linear_step(informed, nodes)
-        prior = cast_like(prior, predicted)
-        sensitivity = linear.control_sensitivity.astype(carry.sensitivity.dtype)
-        after = _Carry(state, control, log_odds, prior, sensitivity, masses)
-        return after, FilteredTrajectory(state.belief, prior, linear, masses)
+        carry: Carry, step: tuple[Array, Array, Array, Array]
+    ) -> tuple[Carry, FilteredTrajectory]:
+        (before, sensitivity), (position, velocity, contact, control) = carry, step
+        made = (position, velocity), contact, before.control
+        after = update(model, before, *made, nodes, sensor, motion_noise)
+        state, heavy = after.before, with_masses(nodes, after.masses)
+        informed = with_control_displacement(model, state, sensitivity, control, heavy)
+        linear, prior = model.linear_step(informed, heavy)
+        prior = cast_like(prior, before.predicted)
+        sensitivity = linear.control_sensitivity.astype(sensitivity.dtype)
+        followed = FilteredTrajectory(state.belief, prior, linear, after.masses)
+        after = dataclasses.replace(after, predicted=prior, control=control)
+        return (after, sensitivity), followed
 
-    initial = model.initial_belief(trajectory.position[0], trajectory.velocity[0], trajectory.nodes)
-    first = ModelState(trajectory.position[0], trajectory.velocity[0], initial)
     # No control follows the last state.
     control = jnp.concatenate([trajectory.control, jnp.zeros_like(trajectory.control[:1])])
     contact = trajectory.contact
     if contact is None:
-        shape = len(trajectory.position), *trajectory.nodes.candidate.shape
+        shape = len(trajectory.position), *nodes.candidate.shape
         contact = jnp.full(shape, jnp.nan, trajectory.position.dtype)
-    carry = _Carry(
-        # No state was observed before the first.
-        before=dataclasses.replace(first, velocity=jnp.full_like(first.velocity, jnp.nan)),
-        control=control[0],
-        motion_log_odds=jnp.zeros(trajectory.nodes.candidate.shape, first.velocity.dtype),
-        predicted=initial,
-        sensitivity=control_sensitivity(model, first, trajectory.nodes),
-        masses=first_masses(model, trajectory.nodes),
-    )
+    begin = trajectory.position[0], trajectory.velocity[0]
+    first = first_filter_state(model, nodes, *begin, control.shape[-1])
+    first = dataclasses.replace(first, control=control[0])
+    unknown = control_sensitivity(model, ModelState(*begin, first.predicted), nodes)
     observed = trajectory.position, trajectory.velocity, contact, control
-    return jax.lax.scan(follow, carry, observed)[1]
+    return jax.lax.scan(follow, (first, unknown), observed)[1]

@@ -44,7 +44,6 @@ _FIELDS: dict[str, Any] = {
     **{"preset": str, "config": dict, "sensor": dict | None},
     **{"training": dict, "checksum": str},
 }
-_NEEDED = "dimension", "control_size", "dt"
 _SENSOR = "false_alarm", "miss", "reports_touch", "delay"
 PRESETS: dict[str, Preset] = {
     "filter": hidden_markov_filter,
@@ -205,18 +204,14 @@ def _same_structure(one: ContactDynamics, other: ContactDynamics) -> bool:
 
 def _config_fields(config: ModelConfig) -> dict[str, Any]:
     """As JSON; fields that have their defaults are left out."""
-    plain = ModelConfig(config.dimension, config.control_size, config.dt)
     impacts: dict[str, dict[str, Impacts]] = {}
     for (one, other), each in config.impacts.items():
         impacts.setdefault(one, {})[other] = each
-    given = {each.name: getattr(config, each.name) for each in fields(config)} | {
-        "impacts": impacts
-    }
-    kept = {
-        name: value
-        for name, value in given.items()
-        if name in _NEEDED or value != getattr(plain, name)
-    }
+    kept = {}
+    for field_of in fields(config):
+        given = impacts if field_of.name == "impacts" else getattr(config, field_of.name)
+        if given not in (field_of.default, {}):
+            kept[field_of.name] = given
     return msgspec.to_builtins(kept, enc_hook=lambda each: each.tolist())
 
 

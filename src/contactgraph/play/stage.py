@@ -145,9 +145,8 @@ class Stage:
         model, state = self.parts.model, self.policy.controller.state
         if state is None or not isinstance(model.local_dynamics, SpringMassDamperDynamics):
             return None
-        last, carry, ids = state.last, state.carry, state.node_ids
-        motion = ModelState(last.position, last.velocity, last.belief)
-        found = np.asarray(_inverse_mass(model, motion, with_masses(state.nodes, carry.masses)))
+        ids, nodes = state.node_ids, with_masses(state.nodes, state.carry.filter.masses)
+        found = np.asarray(_inverse_mass(model, state.last, nodes))
         scene = self.task.scene
         whole = np.full((scene.node_count, scene.dimension), np.nan)
         there = (ids >= 0) & (ids < len(whole))
