@@ -222,6 +222,20 @@ def config(**values: object):
         (config(hinges=1), "Expected `bool`, got `int` - at `$.hinges`"),
         (config(dimension=10**9), "dimension must be 0 to 1024, found 1000000000"),
         (config(dimension=2.5), "Expected `int`, got `float` - at `$.dimension`"),
+        (config(driving_size=10**9), "driving_size must be 0 to 1024, found 1000000000"),
+        (config(node_types=["a"] * 2000), "node_types must be 0 to 1024, found 2000"),
+        (
+            lambda header: header.update(
+                sensor={"false_alarm": "x", "miss": 0.1, "reports_touch": True, "delay": 0}
+            ),
+            "sensor must be that of a model (Expected `float`, got `str` - at `$.false_alarm`)",
+        ),
+        (
+            lambda header: header.update(
+                sensor={"false_alarm": 0.1, "miss": 2.0, "reports_touch": True, "delay": 0}
+            ),
+            "sensor must be that of a model (miss must be 0 to 1, found 2.0)",
+        ),
         (config(edge_types=99), "edge_types must be 2 to 16"),
         (config(dt=-1), "dt must be a positive number of seconds, found -1.0"),
         (config(impacts=[1]), "Expected `object`, got `array`"),

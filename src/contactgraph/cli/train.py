@@ -214,8 +214,8 @@ class Train:
             if baselines is not None:
                 result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
             best = replace(chosen.in_data_units(state.best_model), sensor=sensor)
-            made_by = chosen.name, chosen.in_data
-            save_model(folder.model_path, best, *made_by, {**summary, **result})
+            record = {**summary, **result}
+            save_model(folder.model_path, best, chosen.name, chosen.in_data, record)
 
         print("\n".join(["chosen by data and options:", *chosen.lines()]), flush=True)
         warning = velocity_warning(recorded)

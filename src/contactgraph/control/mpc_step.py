@@ -62,9 +62,9 @@ class MPCConfig(eqx.Module):
         swept: SweptBounds | None,
     ) -> MPCCarry:
         """Before any control step: the model's first belief, and a plan without forces."""
-        first = first_filter_state(self.model, nodes, position, velocity, cost.control_size)
-        belief = first.predicted
         H, U, state = self.planner.horizon, cost.control_size, (len(position), 2, position.shape[1])
+        first = first_filter_state(self.model, nodes, position, velocity, jnp.zeros(U))
+        belief = first.predicted
         plan = Plan(
             states=jnp.zeros((H + 1, *state)),
             controls=jnp.zeros((H, U)),
@@ -106,8 +106,8 @@ class MPCConfig(eqx.Module):
         due = jnp.where(replan < 0, carry.steps_since_plan >= self.replan_every, replan > 0)
         previous = self.previous_plan(carry)
         control = jnp.where(jnp.isfinite(applied), applied, carry.filter.control)
-        made = (position, velocity), contact, control
-        known = update(self.model, carry.filter, *made, nodes, self.sensor, self.motion_noise)
+        seen, noise = (position, velocity), self.motion_noise
+        known = update(self.model, carry.filter, seen, contact, control, nodes, self.sensor, noise)
         nodes = with_masses(nodes, known.masses)
         now = known.before
 

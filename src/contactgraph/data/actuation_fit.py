@@ -137,7 +137,7 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
     """Trimmed least squares over the steps of each actuated type, by name.
 
     A target in the world has a spring, a displacement or a velocity only a damper, a force neither.
-    Where `Scene.control_kind` is not told, there is a damper, or a spring, if that halves the
+    Without a `Scene.control_kind` there is a damper, or a spring, if that halves the
     residual: of exact data the sign of a rounding error would else decide.
     """
     trajectories = tuple(trajectories)

@@ -144,7 +144,7 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
         if each.tracked is not None:
             tracked.append(each.tracked[:, node])
     lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
-    error = off / turned if max(off, turned) > _TURNS and turned else 0.0
+    error = off / max(turned, _TURNS) if max(off, turned) > _TURNS else 0.0
     larger = max(places) / max(float(np.median(places)), np.finfo(float).tiny)
     top = max(rate, default=None)
     usual = float(np.median(np.concatenate(turns))) if any(map(len, turns)) else 0.0

@@ -94,11 +94,11 @@ def doubts_of_motion(
             one, other = (index[each] for each in pair.bodies)
             touch = np.concatenate([getattr(each, name)[:, one, other] for each in found])
             apart = np.linalg.norm(position[:, one] - position[:, other], axis=1)
-            near, far = (np.median(apart[each]) if any(each) else 0.0 for each in (touch, ~touch))
+            near, far = (np.median(apart[each]) if each.any() else 0.0 for each in (touch, ~touch))
             if far and near > _APART * far:
                 yield (
-                    f"{pair.entries.where} is told at {near:.3g} m, and none at {far:.3g} m: "
-                    "inverted?"
+                    f"{pair.entries.where} reports contact at {near:.3g} m, and none at "
+                    f"{far:.3g} m: inverted?"
                 )
     controls, begin = np.concatenate([each.control for each in found]), 0
     before = np.concatenate([each.position[:-1] for each in found])

@@ -54,7 +54,7 @@ def to_trajectories(
     doubts: set[str] = set()
     resampled: list[float] = []
     left = 0
-    same: dict[bytes, str] = {}
+    same: dict[int, str] = {}
     for episode in recording.episodes:
         try:
             if dt is None:
@@ -67,7 +67,7 @@ def to_trajectories(
             doubts.update(doubts_of(mapped))
             kept = [_within_bounds(each, scene_map) for each in parts]
             for each in parts:
-                other = same.setdefault(each.position.tobytes(), episode.name)
+                other = same.setdefault(hash(each.position.tobytes()), episode.name)
                 if other != episode.name and np.ptp(each.position, axis=0).any():
                     doubts.add(f"the motion in {episode.name} is that in {other}: a copy?")
         except InvalidInputError as error:

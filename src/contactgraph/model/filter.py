@@ -154,12 +154,12 @@ def first_filter_state(
     nodes: Nodes,
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
-    control_size: int,
+    control: Float[Array, " U"],
 ) -> FilterState:
     """Before the observation of this first state: the model's first belief about it."""
     belief = model.initial_belief(position, velocity, nodes)
     nan, odds = jnp.full_like(position, jnp.nan), jnp.zeros(nodes.candidate.shape, velocity.dtype)
-    before, control = ModelState(nan, nan, belief), jnp.zeros(control_size)
+    before = ModelState(nan, nan, belief)
     return FilterState(before, control, belief, odds, first_masses(model, nodes))
 
 
@@ -209,8 +209,8 @@ def filter_trajectory(
         carry: Carry, step: tuple[Array, Array, Array, Array]
     ) -> tuple[Carry, FilteredTrajectory]:
         (before, sensitivity), (position, velocity, contact, control) = carry, step
-        made = (position, velocity), contact, before.control
-        after = update(model, before, *made, nodes, sensor, motion_noise)
+        observed, made = (position, velocity), before.control
+        after = update(model, before, observed, contact, made, nodes, sensor, motion_noise)
         state, heavy = after.before, with_masses(nodes, after.masses)
         informed = with_control_displacement(model, state, sensitivity, control, heavy)
         linear, prior = model.linear_step(informed, heavy)
@@ -226,9 +226,9 @@ def filter_trajectory(
     if contact is None:
         shape = len(trajectory.position), *nodes.candidate.shape
         contact = jnp.full(shape, jnp.nan, trajectory.position.dtype)
-    begin = trajectory.position[0], trajectory.velocity[0]
-    first = first_filter_state(model, nodes, *begin, control.shape[-1])
-    first = dataclasses.replace(first, control=control[0])
-    unknown = control_sensitivity(model, ModelState(*begin, first.predicted), nodes)
+    position, velocity = trajectory.position[0], trajectory.velocity[0]
+    first = first_filter_state(model, nodes, position, velocity, control[0])
+    begin = ModelState(position, velocity, first.predicted)
+    unknown = control_sensitivity(model, begin, nodes)
     observed = trajectory.position, trajectory.velocity, contact, control
     return jax.lax.scan(follow, (first, unknown), observed)[1]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import equinox as eqx
 import jax
@@ -44,7 +44,6 @@ _FIELDS: dict[str, Any] = {
     **{"preset": str, "config": dict, "sensor": dict | None},
     **{"training": dict, "checksum": str},
 }
-_SENSOR = "false_alarm", "miss", "reports_touch", "delay"
 PRESETS: dict[str, Preset] = {
     "filter": hidden_markov_filter,
     "bodies": bodies,
@@ -56,6 +55,13 @@ PRESETS: dict[str, Preset] = {
     **PAPER_PRESETS,
 }
 """By the names in files and commands."""
+
+
+class _Sensor(TypedDict):
+    false_alarm: float
+    miss: float
+    reports_touch: bool
+    delay: int
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,6 @@ class StoredModel:
 class ModelSummary:
     """Content of a model file."""
 
-    format_version: int
     preset: str
     """Of `PRESETS`, or ``module:factory``."""
     config: ModelConfig
@@ -97,18 +102,19 @@ def save_model(
     `training` that is not JSON, or a folder that is not writable.
     """
     path = Path(path)
-    plain = _plain(model)
+    # Neighbor lists are made for a scene, and change no prediction.
+    plain, sensor = replace(model, neighbor_list=None, sensor=None), model.sensor
     arrays = module_arrays(plain)
     _check_weights(arrays, str(path))
     if ":" not in preset and not _same_structure(plain, _shapes(_preset(preset, path), config)):
         raise InvalidInputError(f"{path}: preset {preset!r} makes another model for this config")
-    sensor = getattr(model, "sensor", None)
+    kinds = _Sensor.__annotations__
     header = {
         "format": FORMAT,
         "format_version": VERSION,
         "preset": preset,
         "config": _config_fields(config),
-        "sensor": sensor and {name: getattr(sensor, name) for name in _SENSOR},
+        "sensor": sensor and {name: kind(getattr(sensor, name)) for name, kind in kinds.items()},
         "training": dict(training or {}),
     }
     try:
@@ -149,10 +155,11 @@ def load_model(path: str | Path, preset: Preset | None = None) -> StoredModel:
     dtype = next(iter(arrays.values())).dtype if arrays else np.dtype("float32")
     model: ContactDynamics = with_arrays(_of_dtype(shapes, dtype), arrays, str(path))
     try:
-        sensor = header["sensor"] and ContactSensor(**header["sensor"])
-    except (TypeError, InvalidInputError) as error:
+        rates = msgspec.convert(header["sensor"], _Sensor | None)
+        sensor = None if rates is None else ContactSensor(**rates)
+    except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{path}: sensor must be that of a model ({error})") from error
-    return StoredModel(replace(model, sensor=sensor) if sensor else model, header["training"])
+    return StoredModel(replace(model, sensor=sensor), header["training"])
 
 
 def describe_model(path: str | Path) -> ModelSummary:
@@ -165,20 +172,12 @@ def describe_model(path: str | Path) -> ModelSummary:
         config = _config(header, path)
         sizes = [int(np.prod(file.get_slice(name).get_shape())) for name in file.keys()]  # noqa: SIM118
     return ModelSummary(
-        format_version=header["format_version"],
         preset=header["preset"],
         config=config,
         training=header["training"],
         parameter_count=sum(sizes),
         size=path.stat().st_size,
     )
-
-
-def _plain(model: ContactDynamics) -> ContactDynamics:
-    """Without what changes no prediction: the neighbor list and the sensor."""
-    if not isinstance(model, ContactDynamics):
-        return model
-    return replace(model, neighbor_list=None, sensor=None)
 
 
 def _preset(name: str, path: Path) -> Preset:
@@ -207,11 +206,10 @@ def _config_fields(config: ModelConfig) -> dict[str, Any]:
     impacts: dict[str, dict[str, Impacts]] = {}
     for (one, other), each in config.impacts.items():
         impacts.setdefault(one, {})[other] = each
-    kept = {}
-    for field_of in fields(config):
-        given = impacts if field_of.name == "impacts" else getattr(config, field_of.name)
-        if given not in (field_of.default, {}):
-            kept[field_of.name] = given
+    given = {each.name: getattr(config, each.name) for each in fields(config)}
+    given["impacts"] = impacts
+    plain = {each.name: each.default for each in fields(config)}
+    kept = {name: each for name, each in given.items() if each not in (plain[name], {})}
     return msgspec.to_builtins(kept, enc_hook=lambda each: each.tolist())
 
 
@@ -226,7 +224,7 @@ def _config(header: dict[str, Any], path: Path) -> ModelConfig:
         config = msgspec.convert(
             given, ModelConfig, dec_hook=lambda kind, value: np.array(value, float)
         )
-    except (TypeError, ValueError, InvalidInputError) as error:
+    except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{path}: config must be that of a model ({error})") from error
     pairs = {(one, other): each for one, row in impacts.items() for other, each in row.items()}
     return replace(config, impacts=pairs)

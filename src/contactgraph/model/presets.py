@@ -115,8 +115,9 @@ class ModelConfig:
     """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
 
     def __post_init__(self) -> None:
-        for name in ("dimension", "control_size", "width", "actuated_nodes", "substeps"):
-            size = getattr(self, name)
+        counts = "dimension", "control_size", "width", "actuated_nodes", "driving_size", "substeps"
+        sizes = {name: getattr(self, name) for name in counts}
+        for name, size in (*sizes.items(), ("node_types", len(self.node_types))):
             if size is not None and not 0 <= size <= _MOST:
                 raise InvalidInputError(f"{name} must be 0 to {_MOST}, found {size}")
         if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
