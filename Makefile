@@ -82,7 +82,6 @@ bench: $(PACKAGE)
 	$(BIN)/python benchmarks/model_at_scale.py
 	$(BIN)/python benchmarks/batched_rollouts.py
 	$(BIN)/python benchmarks/batched_planning.py
-	$(BIN)/python benchmarks/matrix_share.py
 	$(BIN)/python benchmarks/control_tick.py
 	$(BIN)/python benchmarks/robot_loop.py
 	$(BIN)/python benchmarks/tag_pose.py

@@ -12,14 +12,14 @@ from measuring import arguments, report
 from contactgraph.data import Dataset, split_by_trajectory
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import ModelConfig, ours
 from contactgraph.train import FitProgress, FitState, TrainConfig, fit, initial_state
 
 
 def measured(config: TrainConfig, dataset: Dataset, chunks: int) -> dict[str, float | str | int]:
     """One row. Each check of `fit` ends a chunk of steps; the first chunks compile."""
     train, held_out = split_by_trajectory(dataset, 0.15, seed=0)
-    model = gim_temp(ModelConfig(2, 2, dataset.dt), key=jax.random.key(0))
+    model = ours(ModelConfig(2, 2, dataset.dt), key=jax.random.key(0))
     warm = replace(config, steps=2 * config.check_every)
     began = time.perf_counter()
     state = fit(initial_state(model, warm, seed=0), train, held_out, warm).state

@@ -14,7 +14,7 @@ import jax
 from contactgraph.data import Dataset, split_by_trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
-from contactgraph.model import ModelConfig, hidden_markov_filter, save_model
+from contactgraph.model import ModelConfig, ours, save_model
 from contactgraph.train import FitProgress, TrainConfig, fit, initial_state
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
@@ -30,7 +30,7 @@ print(f"recorded {len(recorded)} episodes of {steps} steps of {recorded.dt} s")
 # Training never reads contact labels. Without them it gives the same model, bit for bit.
 train, held_out = split_by_trajectory(strip_contacts(recorded), held_out_fraction=0.2, seed=0)
 made_for = ModelConfig(2, 2, recorded.dt, contact_distance=0.1, width=16)
-model = hidden_markov_filter(made_for, key=jax.random.key(0))
+model = ours(made_for, key=jax.random.key(0))
 config = TrainConfig(
     steps=400,
     check_every=100,
@@ -56,5 +56,5 @@ print(f"  the verdict: {metrics.verdict}")
 print(f"  contact edges (F1): {metrics['edge_f1'] or 0.0:.2f}")
 
 training = {"seed": 0, "steps": config.steps}
-save_model(folder / "model.safetensors", result.model, "filter", made_for, training)
+save_model(folder / "model.safetensors", result.model, "ours", made_for, training)
 print(f"wrote {folder / 'model.safetensors'}")

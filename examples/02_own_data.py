@@ -20,7 +20,7 @@ from contactgraph.data import (
     write_trajectories,
 )
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import ModelConfig, ours
 from contactgraph.train import TrainConfig, fit, initial_state
 
 DT, STEPS, SUBSTEPS, DIAMETER = 0.02, 100, 20, 0.2  # s, -, -, m
@@ -60,7 +60,7 @@ dataset = read_trajectories(folder / "balls.h5")  # `contactgraph train` reads i
 print(f"{folder / 'balls.h5'}: {len(dataset)} trajectories, {dataset.dimension} dimensions")
 
 train, test = split_by_trajectory(dataset, held_out_fraction=0.25, seed=0)
-model = gim_temp(ModelConfig(3, 3, DT, contact_distance=DIAMETER, width=16), key=jax.random.key(0))
+model = ours(ModelConfig(3, 3, DT, contact_distance=DIAMETER, width=16), key=jax.random.key(0))
 config = TrainConfig(steps=400, check_every=400, batch_size=16, window_length=4, rollout_from=1.0)
 result = fit(initial_state(model, config, seed=0), train, test, config)
 metrics = evaluate_open_loop(result.model, test, horizon_s=0.2)

@@ -12,9 +12,10 @@ from contactgraph.data import Dataset, split_by_trajectory
 from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import (
+    Actuation,
     ArgmaxSample,
     ContactDynamics,
-    CoupledHead,
+    ContactLaw,
     DistancePrior,
     InvariantFeatures,
     MemorylessEdges,
@@ -39,7 +40,7 @@ model = ContactDynamics(
     inference=MemorylessEdges(messages(edges_key), edge_types=3, key=output_key),
     local_dynamics=SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages(key) for key in type_keys]),
-        head=CoupledHead(WIDTH, features.node_types, length=DISTANCE, key=head_key),
+        head=ContactLaw(WIDTH, 2, length=DISTANCE, actuation=Actuation(2, 2, 2), key=head_key),
         discretization=ThetaMethod(0.55, learned=False),  # ten symplectic substeps: (n+1)/2n
     ),
     features=features,

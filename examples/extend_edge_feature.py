@@ -13,13 +13,14 @@ import jax.numpy as jnp
 
 from contactgraph.model import (
     EdgeNetwork,
+    Inference,
     InvariantFeatures,
     ModelConfig,
     ModelState,
     Nodes,
     RecurrentEdges,
     TypedMessagePassing,
-    gim_temp,
+    ours,
 )
 
 
@@ -38,7 +39,8 @@ class WithApproach(InvariantFeatures):
         return jnp.concatenate([features, jnp.stack([bounded, bounded])[..., None]], axis=-1)
 
 
-model = gim_temp(ModelConfig(2, 2, 0.05, width=16), key=jax.random.key(0))
+config = ModelConfig(2, 2, 0.05, width=16)
+model = ours(config, key=jax.random.key(0), inference=Inference.RECURRENT)
 features = WithApproach(length=0.085)
 inference_key, dynamics_key, cell_key = jax.random.split(jax.random.key(1), 3)
 size = features.edge_size(2)

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 
 from contactgraph.model import (
-    CoupledHead,
+    ContactLaw,
+    Inference,
     ModelConfig,
     ModelState,
     Nodes,
     SpringMassDamper,
-    gim_temp,
+    ours,
     sum_at_nodes,
     two_type_belief,
 )
@@ -27,7 +28,7 @@ from contactgraph.model import (
 class FrictionHead(eqx.Module):
     """The parameters of `head`, and the acceleration by friction between bodies that slide."""
 
-    head: CoupledHead
+    head: ContactLaw
     coefficient: jax.Array
     """1/s: force per mass for each m/s of sliding."""
 
@@ -47,7 +48,8 @@ class FrictionHead(eqx.Module):
         )
 
 
-model = gim_temp(ModelConfig(2, 2, 0.05, width=16), key=jax.random.key(0))
+config = ModelConfig(2, 2, 0.05, width=16)
+model = ours(config, key=jax.random.key(0), inference=Inference.RECURRENT)
 plain = model.local_dynamics
 position, velocity = jnp.array([[0.0, 0.0], [0.08, 0.0]]), jnp.array([[0.0, 1.0], [0.0, -1.0]])
 nodes = Nodes(jnp.zeros(2, bool), jnp.ones(2, bool), jnp.ones(1, bool))

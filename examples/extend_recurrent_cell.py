@@ -16,9 +16,10 @@ from contactgraph.envs import PickupTask
 from contactgraph.model import (
     ContactBelief,
     EdgeNetwork,
+    Inference,
     ModelConfig,
     ModelState,
-    gim_temp,
+    ours,
     scene_nodes,
 )
 
@@ -43,7 +44,8 @@ class LeakyEdges(eqx.Module):
         return ContactBelief(jax.nn.softmax(share * last + (1.0 - share) * embedding, axis=-1))
 
 
-model = gim_temp(ModelConfig(2, 2, 0.05, width=16), key=jax.random.key(0))
+config = ModelConfig(2, 2, 0.05, width=16)
+model = ours(config, key=jax.random.key(0), inference=Inference.RECURRENT)
 keys = jax.random.split(jax.random.key(1))
 messages = EdgeNetwork(model.features.edge_size(2), 16, key=keys[0])
 cell = LeakyEdges(messages, eqx.nn.Linear(16, 2, key=keys[1]), jnp.zeros(()))

@@ -51,7 +51,7 @@ from contactgraph_studies.execution import release_programs, resident_bytes  # n
 MUCH_MEMORY = 1.5e9
 """Of a worker, bytes, above which it forgets compiled programs."""
 SHORT = (
-    *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
+    *("--model", "ours-recurrent", "--steps", "12", "--batch-size", "4"),
     *("--window-length", "3", "--rollout-from", "0.6"),
 )
 """Options of the shared training: three checks, the rollout term from the last one on; a model that

@@ -107,8 +107,7 @@ class SimulatedRobotStudy(Study):
             "cells/model",
             (
                 *("train", training.extra_outputs[0], "--every", str(_MODEL_EVERY)),
-                # The form that the published figures are of.
-                *("--out", "cells/model", "--model", "gim-temp", "--seed", str(_WEIGHTS_SEED)),
+                *("--out", "cells/model", "--seed", str(_WEIGHTS_SEED)),
                 *amounts.training_options,
             ),
             "train",

@@ -70,7 +70,7 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("trained") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.train.fit", fit)
-        options = ["--model", "gim-temp", "--steps", "12"]
+        options = ["--model", "ours-recurrent", "--steps", "12"]
         assert cli.run(["train", str(recorded), "--out", str(path), *options]) == 0
     return path
 

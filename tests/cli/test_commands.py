@@ -27,7 +27,7 @@ from contactgraph.data import (
 from contactgraph.envs import PickupExpert
 from contactgraph.envs.planar.world import ENGINES
 from contactgraph.evaluate import closed_loop_metrics, collect
-from contactgraph.model import ModelConfig, gim_temp, shipped_model
+from contactgraph.model import PRESETS, ModelConfig, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
 from contactgraph.viz.metric_table import short
 
@@ -178,14 +178,14 @@ def test_train_leaves_a_run_folder(trained: Path, recorded: Path) -> None:
         "checkpoint-0000000012.safetensors",
     }
     config = json.loads((trained / "config.json").read_text())
-    assert (config["model"], config["seed"], config["steps"]) == ("gim-temp", 0, 12)
+    assert (config["model"], config["seed"], config["steps"]) == ("ours-recurrent", 0, 12)
     rows = [json.loads(line) for line in (trained / "metrics.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [4, 8, 12]
     names = {"step", "prediction", "squared", "rollout", "prior", "held_out_rmse_m", "seconds"}
     assert all(set(row) == names for row in rows)
     assert [row["rollout"] > 0 for row in rows] == [False, False, True]
     header = describe_model(trained / "model.safetensors").training
-    assert header["command"] == "contactgraph train data.h5 --model gim-temp --seed 0"
+    assert header["command"] == "contactgraph train data.h5 --model ours-recurrent --seed 0"
     assert (header["seed"], header["runs"], header["held_out_runs"]) == (0, 17, 3)
     assert header["data_sha256"] == config["data_sha256"]
     assert header["held_out_rmse_m"] == min(row["held_out_rmse_m"] for row in rows)
@@ -203,7 +203,7 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert values.keys() >= OPEN_LOOP | {"run", "data", "episodes", "seed"}
     distance = values["contact_distance_m"]
     assert distance == float(load_model(shipped_model("pickup")).model.features.contact_distance)
-    assert f"contact distance: {distance:.4g} m, learned" in captured.out
+    assert f"contact distance: {distance:.4g} m, given" in captured.out
     assert values["training_s"] > 0
     assert (values["run"], values["data"]) == ("pickup", str(fresh))
     assert (values["n_steps"], values["episodes"], values["seed"]) == (10, 2, 1)
@@ -320,8 +320,10 @@ def test_control_says_that_the_data_came_from_another_engine(
 def test_control_in_space(tmp_path: Path) -> None:
     """Three degrees of freedom and another time step: the same command, files and numbers."""
     model, result, episodes = (tmp_path / name for name in ("m.safetensors", "out.json", "out.h5"))
-    config = ModelConfig(3, 3, 0.01, 0.03, weight=True)
-    save_model(model, gim_temp(config, key=jax.random.key(0)), "gim-temp", config)
+    config = ModelConfig(3, 3, 0.01, 0.03)
+    save_model(
+        model, PRESETS["ours-recurrent"](config, key=jax.random.key(0)), "ours-recurrent", config
+    )
     plans = ["--horizon", 20, "--replan-every", 20]
     files = ["--json", result, "--save", episodes]
     done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)
@@ -335,10 +337,14 @@ def test_control_in_space(tmp_path: Path) -> None:
 
 def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for what, said in {
-        trained: ["gim-temp, seed 0", "12 of 12 steps in 1 s", "held-out    12.500 cm, last 12.5"],
+        trained: [
+            "ours-recurrent, seed 0",
+            "12 of 12 steps in 1 s",
+            "held-out    12.500 cm, last 12.5",
+        ],
         trained / "model.safetensors": [
             *("model, ", "2 a node, control 2", "0.05 s", "data_sha256"),
-            "contact distance    0.085 m, learned",
+            "contact distance    0.07983 m, given",
         ],
         recorded: [
             "dataset, 20 trajectories",

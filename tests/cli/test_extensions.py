@@ -21,13 +21,13 @@ stale-task = no_such_module:TASK
 """
 OWN_MODEL = """\
 import dataclasses
-from contactgraph.model import NoCutoff, gim_temp
+from contactgraph.model import NoCutoff, PRESETS
 
 class OwnCutoff(NoCutoff):
     pass
 
 def build(config, *, key):
-    return dataclasses.replace(gim_temp(config, key=key), cutoff=OwnCutoff())
+    return dataclasses.replace(PRESETS["ours-recurrent"](config, key=key), cutoff=OwnCutoff())
 """
 
 

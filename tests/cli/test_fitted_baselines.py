@@ -27,7 +27,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     seconds: list[float] = []
 
     def fit(dataset, time, least_steps):
-        assert least_steps == 2000
+        assert least_steps == 750
         seconds.append(time)
         return Unmoved()
 
@@ -50,7 +50,7 @@ def test_the_network_is_trained_for_as_long_as_the_model(
     assert 0.0 < values["least_squares_rmse_moving_m"] < values["constant_velocity_rmse_moving_m"]
     lines = capsys.readouterr().out.splitlines()
     training = "interaction network: 150 steps of training in 24 s"
-    assert f"{training}, at least the model's 2000 in {took:.0f} s" in lines
+    assert f"{training}, at least the model's 750 in {took:.0f} s" in lines
     for text, name in (("least squares", "least_squares"), ("interaction network ", "gnn")):
         (line,) = (each for each in lines if each.startswith(text) and each.endswith("cm"))
         assert f"{100 * values[f'{name}_rmse_moving_m']:.3f} cm" in line

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import pytest
 
@@ -20,11 +21,13 @@ from contactgraph.evaluate import SensorFaults
 from contactgraph.model import (
     ContactSensor,
     ModelConfig,
-    MotionNoise,
     PriorEdges,
     default_sensor,
-    hidden_markov_filter,
+    load_model,
+    ours,
+    shipped_model,
 )
+from contactgraph.model.motion_likelihood import motion_noise
 
 
 def metrics_of(command: list[object], result: Path) -> dict:
@@ -32,6 +35,7 @@ def metrics_of(command: list[object], result: Path) -> dict:
     return json.loads(result.read_text())
 
 
+LEARNED = "that of the model"
 OPEN_LOOP = "contactgraph.evaluate.evaluate_open_loop"
 FAULTS = "--false-alarms 0.05 --misses 0.2 --delay 2"
 
@@ -39,8 +43,8 @@ FAULTS = "--false-alarms 0.05 --misses 0.2 --delay 2"
 @pytest.mark.parametrize(
     ("command", "flags", "given"),
     [
-        ("evaluate", "", {"faults": SensorFaults(), "motion_noise": MotionNoise()}),
-        ("evaluate", "--infer-contacts", {"motion_noise": MotionNoise()}),
+        ("evaluate", "", {"faults": SensorFaults(), "motion_noise": LEARNED}),
+        ("evaluate", "--infer-contacts", {"motion_noise": LEARNED}),
         ("evaluate", "--ignore-motion", {"motion_noise": None}),
         ("evaluate", FAULTS, {"faults": SensorFaults(0.05, 0.2, 2, 0)}),
         ("control", FAULTS, {"faults": SensorFaults(0.05, 0.2, 2, 7), "measured": True}),
@@ -55,7 +59,10 @@ def test_the_flags_are_passed_on(
     what = [str(fresh)] if evaluates else ["pickup", "--seed", "7"]
     assert cli.run([command, "pickup", *what, *flags.split()]) == 130
     (call,) = calls
-    assert {name: call.options[name] for name in given} == given
+    for name, expected in given.items():
+        if expected == LEARNED:
+            expected = motion_noise(load_model(shipped_model("pickup")).model)
+        assert eqx.tree_equal(call.options[name], expected), name
 
 
 def test_the_geometric_prior_takes_the_place_of_inference(
@@ -66,14 +73,13 @@ def test_the_geometric_prior_takes_the_place_of_inference(
         assert cli.run(["evaluate", "pickup", str(fresh), "--inference", name]) == 130
     models = [call.arguments[0] for call in calls]
     kinds = [type(model.inference).__name__ for model in models]
-    assert kinds == ["RecurrentEdges", "PriorEdges", "PriorEdges"]
-    # Of two types the only active one holds.
-    assert [model.inference.active_type for model in models[1:]] == [1, 1]
-    three_types = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=4), key=jax.random.key(0))
-    for name, active in (("prior-touch", 1), ("prior-hold", 2)):
-        assert with_inference(three_types, name).inference == PriorEdges(3, active)
+    assert kinds == ["TransitionEdges", "PriorEdges", "PriorEdges"]
+    assert [model.inference.active_type for model in models[1:]] == [1, 2]
+    two_types = ours(ModelConfig(2, 2, 0.05, width=4, edge_types=2), key=jax.random.key(0))
+    for name in ("prior-touch", "prior-hold"):  # the only active type holds
+        assert with_inference(two_types, name).inference == PriorEdges(2, 1)
     with pytest.raises(InvalidInputError, match="--inference must be one of learned, prior-touch"):
-        with_inference(three_types, "prior")
+        with_inference(two_types, "prior")
 
 
 def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
@@ -136,8 +142,8 @@ def test_training_needs_contacts_and_a_filter_for_them(
     flags: list[str], fresh: Path, bare: Path, mistake: Callable
 ) -> None:
     for data, model, said in (
-        (bare, "filter", "1 of 2 trajectories have no contact field"),
-        (fresh, "no-gim", "the model must be a filter (--model filter), found AllEdges"),
+        (bare, "ours", "1 of 2 trajectories have no contact field"),
+        (fresh, "ours-no-inference", "the model must be a filter (--model ours), found AllEdges"),
     ):
         command = ["train", data, "--out", "run", "--held-out", 0.5, "--model", model]
         error = mistake(*command, *flags)

@@ -43,7 +43,7 @@ def train(recorded: Path, tmp_path: Path) -> Callable[..., int]:
     return command
 
 
-SHORT = ("--model", "gim-temp", "--steps", "3")
+SHORT = ("--model", "ours-recurrent", "--steps", "3")
 
 
 def test_errors_stand_beside_their_baselines(
@@ -64,25 +64,25 @@ def test_errors_stand_beside_their_baselines(
     assert said[0].endswith(
         f"model.safetensors: held-out error 12.500 cm, {baselines} over 8 steps; all steps done"
     )
-    assert said[1] == ("trained for 9 s, compilation included; contact distance 0.085 m, learned")
+    assert said[1] == ("trained for 9 s, compilation included; contact distance 0.07983 m, given")
 
 
 @pytest.mark.parametrize(
     ("flags", "parts", "written"),
     [
-        ("", ("TransitionEdges", "SpringMassDamperDynamics"), {"model": "filter", "steps": 750}),
+        ("", ("TransitionEdges", "SpringMassDamperDynamics"), {"model": "ours", "steps": 750}),
         (
-            "--model gim-non-temp",
+            "--model ours-memoryless",
             ("MemorylessEdges", "SpringMassDamperDynamics"),
-            {"model": "gim-non-temp", "steps": 2000},
+            {"model": "ours-memoryless", "steps": 2000},
         ),
         (
-            "--model full-ab",
+            "--model ours-full-ab",
             ("RecurrentEdges", "FreeLinearDynamics"),
-            {"model": "full-ab", "steps": 2000},
+            {"model": "ours-full-ab", "steps": 2000},
         ),
         (
-            "--model filter --use-contacts --sensor estimate --edge-types 4",
+            "--use-contacts --sensor estimate --edge-types 4",
             ("TransitionEdges", "SpringMassDamperDynamics"),
             {"use_contacts": True, "sensor": "estimate", "edge_types": 4},
         ),
@@ -172,8 +172,8 @@ def test_bodies_turn_unless_told_otherwise(
     data = tmp_path / "turning.h5"
     write_trajectories(data, map(turning, read_trajectories(recorded).trajectories[:4]))
     calls = interrupted("contactgraph.train.fit")
-    assert train("--model", "bodies", data=data, out="turning") == 130
-    for flags in (("--model", "bodies", "--no-turns"), ("--resume",)):
+    assert train(data=data, out="turning") == 130
+    for flags in (("--no-turns",), ("--resume",)):
         assert train(*flags, data=data) == 130
     lengths = [call.arguments[0].model.features.turn_length for call in calls]
     assert [length is not None for length in lengths] == [True, False, False]

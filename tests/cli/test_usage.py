@@ -17,7 +17,7 @@ import pytest
 from contactgraph.cli import main as cli
 from contactgraph.cli.tasks import task_names
 from contactgraph.data import Scene, Trajectory, read_trajectories, write_trajectories
-from contactgraph.model import ModelConfig, gim_temp, shipped_models
+from contactgraph.model import PRESETS, ModelConfig, shipped_models
 from contactgraph.model.io import save_model
 
 NO_TASK = f"task must be one of {', '.join(task_names())}, module:Class; found 'juggling'"
@@ -96,18 +96,23 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ("collect pickup --out .", ".: must be a file, found a folder"),
         ("train a.h5 --out run", "a.h5: does not exist"),
         ("train a.h5 --out run --resume", "run: not a run folder (it has no config.json)"),
-        ("train a.h5 --out run --model best", "--model must be one of auto, filter, bodies, rela"),
+        ("train a.h5 --out run --model best", "--model must be one of ours, ours-recurrent, ours"),
         ("train a.h5 --out run --steps 0", "steps must be 1 to 1000000000, found 0"),
         ("train a.h5 --out run --batch-size 999999999", "batch_size must be 1 to 65536"),
-        ("train a.h5 --out run --bystanders -1", "bystanders must be 0 to 100, found -1"),
+        (
+            "train a.h5 --out run --model ours-recurrent --bystanders -1",
+            "bystanders must be 0 to 100, found -1",
+        ),
+        ("train a.h5 --out run --bystanders 2", "--bystanders: ours is trained without; see train"),
+        ("train a.h5 --out run --prior-weight 0", "--prior-weight: ours is trained without; see"),
         ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
         (
-            "train a.h5 --out run --model gim-temp --edge-types 4",
-            "--edge-types: gim-temp has no types to choose; it is for filter, bodies or relations",
+            "train a.h5 --out run --model ours-recurrent --edge-types 4",
+            "--edge-types: ours-recurrent has no types to choose; it is for ours and relations",
         ),
         (
-            "train a.h5 --out run --model filter --graph star --temperature 1",
-            "--graph and --temperature: only the paper's forms have this, not filter",
+            "train a.h5 --out run --graph star --temperature 1",
+            "--graph and --temperature: only the paper's forms have this, not ours",
         ),
         ("train a.h5 --out run --graph ring", "--graph must be one of full, star; found 'ring'"),
         ("train a.h5 --out run --temperature 0", "--temperature must be positive, found 0.0"),
@@ -179,8 +184,8 @@ def test_a_model_and_data_that_do_not_fit(mistake: Callable, trained: Path, tmp_
 
 def test_a_model_and_a_task_that_do_not_fit(mistake: Callable, tmp_path: Path) -> None:
     config = ModelConfig(3, 2, 0.05)
-    model = gim_temp(config, key=jax.random.key(0))
-    save_model(tmp_path / "m.safetensors", model, "gim-temp", config)
+    model = PRESETS["ours-recurrent"](config, key=jax.random.key(0))
+    save_model(tmp_path / "m.safetensors", model, "ours-recurrent", config)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("contactgraph.cli.output.Progress.advance", lambda *arguments: None)
         said = mistake("control", "m.safetensors", "pickup", "--episodes", 1, "--save", "a.h5")
@@ -291,7 +296,7 @@ def test_training_warns_of_velocities_that_contradict_positions(
     interrupted("contactgraph.train.fit")
     for data, contradict in ((tmp_path / "slow.h5", True), (recorded, False)):
         out = str(tmp_path / data.stem)
-        assert cli.run(["train", str(data), "--out", out, "--model", "gim-temp"]) == 130
+        assert cli.run(["train", str(data), "--out", out, "--model", "ours-recurrent"]) == 130
         said = capsys.readouterr().err
         assert ("warning" in said) == contradict
         assert ("velocities contradict positions in 20 of 20 trajectories" in said) == contradict

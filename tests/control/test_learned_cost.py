@@ -143,7 +143,7 @@ def test_it_finds_its_nodes_by_name_and_takes_the_scene_s_goal(runs, cost):
 
 def test_the_contact_that_demonstrations_keep_is_learned_as_it_imitates_best(model, runs, cost):
     (found,) = cost.contacts
-    assert (found.kind, found.nodes) == ("touch", ("gripper", "target"))
+    assert (found.kind, found.nodes) == ("hold", ("gripper", "target"))
     dataset = Dataset(tuple(runs))
     filtered = filter_demonstrations(model, dataset)
     data = demonstrations_of(dataset, filtered, cost.kept_nodes, limits=LIMITS)
@@ -173,14 +173,13 @@ def test_contacts_that_last_are_wanted_of_the_kind_that_is_inferred(model, runs)
         assert len(contacts.pairs) == len(contacts.weight)
         return contacts.kind.tolist()
 
-    touched = np.concatenate([types, np.zeros_like(types[..., :1])], axis=-1)
-    assert found(types) == found(touched) == [KINDS.index("touch")]
-    assert found(touched[..., [0, 2, 1]]) == [KINDS.index("hold")]
+    assert found(types) == [KINDS.index("hold")]
+    assert found(types[..., [0, 2, 1]]) == found(types[..., [0, 2]]) == [KINDS.index("touch")]
     ended = types.copy()
-    ended[:, 60:, 0] = [1.0, 0.0]
+    ended[:, 60:, 0] = [1.0, 0.0, 0.0]
     assert found(ended) == []
     rare = types.copy()
-    rare[: len(runs) // 2 + 1, :, 0] = [1.0, 0.0]
+    rare[: len(runs) // 2 + 1, :, 0] = [1.0, 0.0, 0.0]
     assert found(rare) == []
 
 

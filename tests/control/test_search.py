@@ -16,12 +16,16 @@ from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.model import ModelConfig, ModelState, bodies, scene_nodes
+from contactgraph.model import ModelConfig, ModelState, ours, scene_nodes
 
 DT, H, REACH = 0.05, 25, 0.1
 SERVO = ActuationFit(60.0 * np.eye(2), np.zeros(2), 0.0, 60.0, residual=0.0)
 CONFIG = ModelConfig(
-    2, 2, DT, REACH, width=4, node_types=("box", "hand"), actuation={"hand": SERVO}
+    *(2, 2, DT, REACH),
+    width=4,
+    node_types=("box", "hand"),
+    actuation={"hand": SERVO},
+    rough=True,
 )
 LIMITS = ControlLimits(jnp.full(2, -1.0), jnp.full(2, 1.0))
 SCENE = Scene(("hand", "box"), ("hand", "box"), np.array([True, False]), DT)
@@ -36,7 +40,7 @@ IDLE = AffinePolicy(jnp.zeros((H, 2, 2, 2, 2)), jnp.zeros((H, 2)))
 @cache
 def model():
     """Fresh weights: a touch pushes; the ground stops a box that nothing pushes."""
-    fresh = bodies(CONFIG, key=jax.random.key(0))
+    fresh = ours(CONFIG, key=jax.random.key(0))
     return eqx.tree_at(lambda each: each.local_dynamics.head.damper_raw, fresh, jnp.full(2, 3.0))
 
 
@@ -238,7 +242,7 @@ def test_a_grasp_closes_inside_the_body_and_takes_it_to_its_goal_once_it_holds()
 @cache
 def with_a_command():
     config = dataclasses.replace(CONFIG, control_size=3, driving_size=2)
-    return bodies(config, key=jax.random.key(0))
+    return ours(config, key=jax.random.key(0))
 
 
 @pytest.mark.parametrize("command", [-1.0, 1.0])

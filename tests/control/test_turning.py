@@ -14,7 +14,7 @@ from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.envs.contract import ChainCost
 from contactgraph.evaluate import TaskCost
-from contactgraph.model import ContactDynamics, ModelConfig, bodies, scene_nodes
+from contactgraph.model import ContactDynamics, ModelConfig, ours, scene_nodes
 
 UNIT, GOAL_ANGLE = 0.05, 0.4
 PICK, GOAL = [3.0, 3.0, 0.2, 0.2], [50.0, 50.0, 1.0, 1.0]
@@ -48,7 +48,7 @@ HAND, BAR = np.array([0.06, -0.04]), np.zeros(2)
 
 @cache
 def model() -> ContactDynamics:
-    return bodies(CONFIG, key=jax.random.key(0))
+    return ours(CONFIG, key=jax.random.key(0))
 
 
 def observation(**changes) -> dict[str, np.ndarray]:

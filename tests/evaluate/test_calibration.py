@@ -13,13 +13,13 @@ from contactgraph.data import Dataset
 from contactgraph.evaluate import belief_calibration, evaluate_open_loop
 from contactgraph.evaluate.trajectory_prediction import contact_belief, predict_trajectory
 from contactgraph.model import (
+    PRESETS,
     ContactBelief,
     ContactSensor,
     ModelConfig,
     MotionNoise,
     NoCutoff,
     PriorEdges,
-    gim_temp,
 )
 
 DT = 0.05
@@ -29,7 +29,7 @@ WINDOWS = "contactgraph.evaluate.prediction_windows"
 @pytest.fixture(scope="module")
 def model():
     # As in test_open_loop.py, with trajectories of the same shape: compiled once.
-    return gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    return PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 
 
 def test_every_number_by_hand() -> None:

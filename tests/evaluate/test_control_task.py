@@ -18,7 +18,7 @@ from contactgraph.evaluate import (
     evaluate_open_loop,
     model_diagnostics,
 )
-from contactgraph.model import ContactBelief, ModelConfig, gim_temp, scene_nodes, two_type_belief
+from contactgraph.model import PRESETS, ContactBelief, ModelConfig, scene_nodes, two_type_belief
 
 SEER = GluedBodies(reach=0.081)
 
@@ -224,7 +224,7 @@ def test_padding_changes_no_control():
 
 @pytest.mark.slow
 def test_diagnostics_match_the_controllers_beliefs():
-    model = gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    model = PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
     run = random_run(3, 12, 2, goal=np.ones(2))
     # Without force: a plan also knows what its own force does to a touch, a recording does not.
     policy = policy_of(model, 4, ControlLimits(jnp.zeros(2), jnp.zeros(2)))

@@ -17,7 +17,7 @@ from contactgraph.train import RunFolder
 
 UTM = np.array([5e5, 4.5e6])
 AS_TRAINED = (
-    *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
+    *("--model", "ours-recurrent", "--steps", "12", "--batch-size", "4"),
     *("--window-length", "3", "--rollout-from", "0.6"),
 )
 """The options of the run `trained`."""

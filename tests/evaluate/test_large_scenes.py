@@ -12,12 +12,11 @@ from evaluation_worlds import DT, GluedBodies, random_run
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.model import (
+    PRESETS,
     ModelConfig,
     NeighborList,
     ReallocatingModel,
-    gim_temp,
     neighbor_allocation,
-    no_gim,
 )
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
@@ -34,7 +33,7 @@ def apart() -> Dataset:
 
 @pytest.fixture(scope="module")
 def model():
-    return gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
+    return PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
 
 
 @pytest.fixture
@@ -85,7 +84,7 @@ def test_models_get_neighbor_lists_in_large_scenes(model, apart) -> None:
     given = dataclasses.replace(model, neighbor_list=NeighborList(3, 4))
     for other in (
         given,
-        no_gim(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0)),
+        PRESETS["ours-no-inference"](ModelConfig(2, 2, DT, width=4), key=jax.random.key(0)),
         GluedBodies(),
     ):
         assert ReallocatingModel(other, apart).model is other

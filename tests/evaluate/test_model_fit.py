@@ -10,7 +10,7 @@ from evaluation_worlds import DT, GluedBodies, random_run, scene_of
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import DoorTask, PickupTask
 from contactgraph.evaluate import control_task, evaluate_open_loop, model_diagnostics
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.model.filter import check_fit
 
 ANCHOR = np.array([[np.nan, np.nan], [0.3, 0.4]])
@@ -20,7 +20,9 @@ HINGED, FREE = scene_of(2, anchor=ANCHOR), scene_of(2)
 @pytest.fixture(scope="module")
 def models():
     return {
-        hinges: gim_temp(ModelConfig(2, 2, DT, 0.085, 4, hinges), key=jax.random.key(0))
+        hinges: PRESETS["paper-literal"](
+            ModelConfig(2, 2, DT, 0.085, 4, hinges=bool(hinges)), key=jax.random.key(0)
+        )
         for hinges in (0, 1)
     }
 

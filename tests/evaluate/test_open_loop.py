@@ -17,7 +17,7 @@ from contactgraph.evaluate import (
     evaluate_open_loop,
     model_diagnostics,
 )
-from contactgraph.model import ModelConfig, bodies, gim_temp
+from contactgraph.model import PRESETS, ModelConfig, ours
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def glued(pickups):
 
 @pytest.fixture(scope="module")
 def untrained():
-    return gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    return PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 
 
 def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
@@ -310,7 +310,7 @@ def test_errors_of_angles_are_those_of_bodies_that_turn(known: bool) -> None:
         scene, still, 0.0 * still, np.zeros((8, 0)), orientation=turn, angular_velocity=rate
     )
     config = ModelConfig(2, 0, DT, width=4, node_types=("box",), turn_length=0.1)
-    model = bodies(replace(config, inertia={"box": 1.0}), key=jax.random.key(0))
+    model = ours(replace(config, inertia={"box": 1.0}), key=jax.random.key(0))
     head = model.local_dynamics.head
     slippery = eqx.tree_at(
         lambda each: [each.damper_raw, each.deceleration_raw], head, [jnp.full(1, -9.0)] * 2

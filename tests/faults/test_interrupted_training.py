@@ -14,7 +14,7 @@ from contactgraph.cli import main as cli
 from contactgraph.train import FitResult, FitStatus, HeldOutBaselines, RunFolder
 
 SHORT = (
-    *("--model", "gim-temp", "--steps", "12", "--batch-size", "4"),
+    *("--model", "ours-recurrent", "--steps", "12", "--batch-size", "4"),
     *("--window-length", "3", "--rollout-from", "0.6"),
 )
 """The options of the fixture `trained`."""

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.train import RunFolder, TrainConfig, initial_state, load_checkpoint
 
 SPAWNER = """
@@ -17,13 +17,14 @@ import os, signal, sys, time
 import dataclasses
 from pathlib import Path
 import jax, numpy as np
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import ModelConfig, PRESETS
 from contactgraph.train import (
     FitProgress, HeldOutBaselines, TrainConfig, RunFolder, initial_state
 )
 
 folder = RunFolder(Path(sys.argv[1]))
-state = initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0)
+model = PRESETS["ours-recurrent"](ModelConfig(2, 2, 0.05), key=jax.random.key(0))
+state = initial_state(model, TrainConfig(), 0)
 folder.create({}, state)
 # A forked child must not touch JAX, only its numbers.
 state = jax.tree.map(lambda leaf: np.asarray(leaf) if hasattr(leaf, "shape") else leaf, state)
@@ -51,7 +52,9 @@ for pause in sys.stdin:
 @pytest.mark.slow
 def test_killed_at_any_moment_a_run_has_a_whole_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    like = initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0)
+    like = initial_state(
+        PRESETS["ours-recurrent"](ModelConfig(2, 2, 0.05), key=jax.random.key(0)), TrainConfig(), 0
+    )
     reached, litter = 0, 0
     with subprocess.Popen(
         [sys.executable, "-c", SPAWNER, str(run)],

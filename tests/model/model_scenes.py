@@ -1,6 +1,7 @@
 """Scenes and models that the model tests share."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
@@ -15,15 +16,12 @@ from contactgraph.model import (
     ModelConfig,
     ModelState,
     Nodes,
-    bodies,
     full_ab,
-    gim_non_temp,
-    gim_temp,
-    hidden_markov_filter,
-    no_gim,
+    ours,
     paper_literal,
     relations,
 )
+from contactgraph.model import PRESETS as NAMED
 from contactgraph.model.collision import geometry
 
 DT = 0.05
@@ -46,25 +44,25 @@ def assert_same(ours, theirs, **tolerance: float) -> None:
 
 
 PRESETS = {
-    "gim_temp": gim_temp,
-    "gim_non_temp": gim_non_temp,
-    "no_gim": no_gim,
+    "recurrent": NAMED["ours-recurrent"],
+    "memoryless": NAMED["ours-memoryless"],
+    "no_inference": NAMED["ours-no-inference"],
     "full_ab": full_ab,
     "paper_literal": paper_literal,
     "paper_literal_no_gim": PAPER_PRESETS["paper-literal-no-gim"],
-    "filter": hidden_markov_filter,
+    "ours": ours,
     "relations": relations,
 }
 
 
 def slippery_bodies(config: ModelConfig) -> ContactDynamics:
-    """The preset `bodies`, which nothing slows but touches."""
+    """The preset `ours`, which nothing slows but touches."""
     return eqx.tree_at(
         lambda each: (
             each.local_dynamics.head.damper_raw,
             each.local_dynamics.head.deceleration_raw,
         ),
-        bodies(config, key=jax.random.key(0)),
+        ours(replace(config, rough=True), key=jax.random.key(0)),
         [jnp.full(len(config.node_types), -10.0)] * 2,
     )
 
@@ -82,7 +80,9 @@ def _preset(
 ) -> ContactDynamics:
     def construct() -> ContactDynamics:
         key = jax.random.PRNGKey(0)
-        return PRESETS[name](ModelConfig(dimension, 2, DT, width=width, hinges=hinges), key=key)
+        return PRESETS[name](
+            ModelConfig(dimension, dimension, DT, width=width, hinges=hinges), key=key
+        )
 
     return with_random_weights(construct, seed)
 
@@ -97,7 +97,12 @@ def with_random_weights(construct: Callable[[], ContactDynamics], seed: int = 0)
         if leaf.ndim == 0:  # The touch distance, and the raw theta.
             return jax.device_put(np.full((), 0.1, leaf.dtype))
         # Masses and gains are exponentials and squares of theirs: some that bodies could have.
-        single = path[-1].name in ("log_mass", "gain_root")
+        name = path[-1].name if hasattr(path[-1], "name") else ""
+        if name == "matrix":  # of an actuation, the same along all axes
+            return jax.device_put(np.broadcast_to(np.eye(*leaf.shape[1:]), leaf.shape))
+        if name in ("bias", "stiffness_root") and "actuation" in str(path):
+            return jax.device_put(np.zeros(leaf.shape, leaf.dtype))
+        single = name == "log_mass"
         bound = 0.2 if single else 1.5 / np.sqrt(leaf.shape[-1])
         return jax.device_put(rng.uniform(-bound, bound, leaf.shape).astype(leaf.dtype))
 

@@ -65,7 +65,7 @@ class Keeps(eqx.Module):
 def rigid_world(factor: float = 1.0) -> ContactDynamics:
     """Contacts are observable by motion only."""
     return dataclasses.replace(
-        preset("gim_temp"), local_dynamics=RigidGroups(), inference=Keeps(factor)
+        preset("recurrent"), local_dynamics=RigidGroups(), inference=Keeps(factor)
     )
 
 

@@ -17,7 +17,8 @@ import pytest
 
 from contactgraph.model import ThetaMethod, from_physical, stack_state
 from contactgraph.model.collision import geometry
-from contactgraph.model.contact_solver import ContactSolver
+from contactgraph.model.contacts import Contacts
+from contactgraph.model.free_bodies import FreeBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -124,22 +125,44 @@ def test_every_mass_on_its_own_springs_and_dampers(integrator: str, theta: float
 
 
 @jax.jit
-def moved(network: ContactSolver, state: jax.Array, control: jax.Array) -> jax.Array:
+def moved(
+    mass: jax.Array, law: dict[str, jax.Array], state: jax.Array, control: jax.Array
+) -> jax.Array:
     """Places and speeds of a row of masses after a step; a force pulls at the last one."""
     pairs = jnp.stack([jnp.arange(N), jnp.arange(N) + 1], axis=1)
-    gain = jnp.zeros(N + 1).at[-1].set(1.0)
-    weight = GRAVITY[0] * network.mass.at[0].set(0.0)[:, None]
-    places, speeds = (jnp.array([0.0, *half])[:, None] for half in (state[:N], state[N:]))
+    places, speeds = (
+        jnp.stack([jnp.array([0.0, *half]), jnp.zeros(N + 1)], axis=1)
+        for half in (state[:N], state[N:])
+    )
+    nothing, along = jnp.zeros(N), jnp.array([1.0, 0.0])
     seen = geometry(places, speeds, pairs.T, DT, contact_distance=0.01)
-    motion = network.solve(speeds, gain, seen, DT, control_size=1, weight=weight)
-    assert motion.acceleration is not None
+    bodies = FreeBodies(
+        mass=mass[:, None] * jnp.ones(2),
+        velocity=speeds,
+        ground_damper=jnp.zeros(N + 1),
+        deceleration=jnp.zeros(N + 1),
+        weight=(GRAVITY[0] * mass.at[0].set(0.0)[:, None] * along)[..., None],
+        driving=jnp.zeros((N + 1, 2, 1)).at[-1, 0].set(1.0),
+        push=jnp.zeros((N + 1, 2, 1)),
+    )
+    contacts = Contacts(
+        geometry=seen.along(nothing + 1.0),
+        **law,
+        touching=nothing,
+        displacing_fraction=nothing,
+        acting=nothing + 1.0,
+        bounce=nothing,
+        friction=nothing,
+        until_impact=nothing,
+    )
+    motion = contacts.solve(bodies, DT, None, rough=False)
     pulled = motion.acceleration + motion.response @ control
     speeds = speeds + motion.velocity_change + DT * pulled
     places = places + DT * speeds
     return jnp.concatenate([places[1:, 0], speeds[1:, 0]])
 
 
-derivatives = jax.jit(jax.jacfwd(moved, (1, 2)))
+derivatives = jax.jit(jax.jacfwd(moved, (2, 3)))
 
 
 @ANY
@@ -165,16 +188,14 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
 
     if not SPRINGS_AT_THE_END[integrator]:
         damping = damping - DT * stiffness
-    network = ContactSolver(
-        mass=jnp.array([1e12, *mass]),  # The wall is a body that nothing moves.
-        ground_damper=jnp.zeros(N + 1),
-        damper=DT * jnp.asarray(damping),
-        spring=DT**2 * jnp.asarray(stiffness),
-        rest_length=jnp.asarray(rest),
-        displacing_fraction=jnp.zeros(N),
-    )
+    masses = jnp.array([1e12, *mass])  # The wall is a body that nothing moves.
+    law = {
+        "damper": DT * jnp.asarray(damping),
+        "spring": DT**2 * jnp.asarray(stiffness),
+        "rest_length": jnp.asarray(rest),
+    }
     state, control = jnp.asarray([*position, *velocity]), jnp.asarray(FORCE[:1])
-    ours_A, ours_B = derivatives(network, state, control)
+    ours_A, ours_B = derivatives(masses, law, state, control)
     places = np.kron(np.eye(2), np.tril(np.ones((N, N))))  # From distances.
     A, B = linearised(model, data)
     A, B = places @ A @ np.linalg.inv(places), places @ B
@@ -182,4 +203,4 @@ def test_a_chain_that_is_coupled(integrator: str) -> None:
     np.testing.assert_allclose(ours_A, A, rtol=0, atol=TOLERANCE)
     np.testing.assert_allclose(ours_B, B, rtol=0, atol=TOLERANCE)
     reached = places @ stepped(model, data)
-    np.testing.assert_allclose(moved(network, state, control), reached, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(moved(masses, law, state, control), reached, rtol=0, atol=TOLERANCE)

@@ -16,8 +16,8 @@ from contactgraph.model import (
     ModelConfig,
     ModelState,
     MotionNoise,
-    bodies,
     first_masses,
+    ours,
     scene_nodes,
     told_log_mass,
     with_masses,
@@ -26,7 +26,9 @@ from contactgraph.model.body_mass import MassBelief, mass_score
 from contactgraph.model.filter import filter_trajectory
 
 STEPS, DT = 12, 0.05
-NOISE = MotionNoise(model_position=1e-4, model_velocity=2e-3, type_share=jnp.array([0.02, 0.02]))
+NOISE = MotionNoise(
+    model_position=1e-4, model_velocity=2e-3, model_share=0.02, type_share=jnp.full(2, 0.02)
+)
 SCENE = Scene(
     node_name=("pusher", "near", "far"),
     node_type=("pusher", "block", "block"),
@@ -42,7 +44,7 @@ CONFIG = ModelConfig(
 
 @pytest.fixture(scope="module")
 def model():
-    return bodies(CONFIG, key=jax.random.key(0))
+    return ours(CONFIG, key=jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,7 @@ def test_told_masses_are_in_units_of_the_driven_body(model):
     nodes = scene_nodes(SCENE)._replace(log_mass=jnp.asarray(told))
     np.testing.assert_allclose(told, np.log([1.0, 1.7, 0.6]), atol=1e-6)
     np.testing.assert_array_equal(first_masses(model, nodes).variance, 0.0)
-    alike = bodies(replace(CONFIG, varying_mass=False), key=jax.random.key(0))
+    alike = ours(replace(CONFIG, varying_mass=False), key=jax.random.key(0))
     assert first_masses(alike, nodes) is None and told_log_mass(alike, SCENE) is None
 
 

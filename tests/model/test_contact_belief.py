@@ -21,8 +21,8 @@ from contactgraph.model import (
     ModelConfig,
     correct,
     default_sensor,
-    hidden_markov_filter,
     load_model,
+    ours,
     save_model,
     two_type_belief,
 )
@@ -143,7 +143,7 @@ def test_an_edge_that_was_not_measured_has_a_finite_gradient() -> None:
 
 
 CONFIG = ModelConfig(2, 2, 0.05, width=8)
-FRESH = hidden_markov_filter(CONFIG, key=jax.random.key(0))
+FRESH = ours(CONFIG, key=jax.random.key(0))
 # Fresh rates are zero, and then nothing is remembered.
 MODEL = eqx.tree_at(
     lambda each: each.inference.rates.layers[-1].bias, FRESH, 6.0 * jnp.eye(3).reshape(-1)
@@ -199,9 +199,9 @@ def test_impossible_sensors(wrong: dict, said: str) -> None:
 def test_a_model_file_keeps_the_sensor(tmp_path: Path) -> None:
     sensor = ContactSensor(0.03, 0.07, False, 2)
     path = tmp_path / "model.safetensors"
-    save_model(path, dataclasses.replace(FRESH, sensor=sensor), "filter", CONFIG)
+    save_model(path, dataclasses.replace(FRESH, sensor=sensor), "ours", CONFIG)
     assert default_sensor(load_model(path).model) == sensor
-    save_model(path, FRESH, "filter", CONFIG)
+    save_model(path, FRESH, "ours", CONFIG)
     stored = load_model(path).model
     assert stored.sensor is None
     assert default_sensor(stored) == ContactSensor() == default_sensor(object())

@@ -25,11 +25,12 @@ from model_scenes import (
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
+    Actuation,
     ArgmaxSample,
     ContactBelief,
     ContactDynamics,
+    ContactLaw,
     ContactSensor,
-    CoupledHead,
     DistancePrior,
     InvariantFeatures,
     LinearDynamics,
@@ -52,9 +53,9 @@ pytestmark = pytest.mark.usefixtures("double_precision")
 COUNT = 4
 PAIRS = pair_indices(COUNT)
 HINGE = (0.35, 0.2)
-CASES = [*((name, False) for name in PRESETS), ("gim_temp", True)]
-BOTH = [("gim_temp", False), ("gim_non_temp", False), ("filter", False), ("gim_temp", True)]
-LOCAL, INVARIANT = [*BOTH, ("full_ab", False)], [*BOTH, ("no_gim", False)]
+CASES = [*((name, False) for name in PRESETS), ("recurrent", True)]
+BOTH = [("recurrent", False), ("memoryless", False), ("ours", False), ("recurrent", True)]
+LOCAL, INVARIANT = [*BOTH, ("full_ab", False)], [*BOTH, ("no_inference", False)]
 ORDER = np.array([3, 0, 1, 2])
 VARIANTS = [
     "base",
@@ -91,7 +92,7 @@ def orthogonal(dimension: int) -> np.ndarray:
 
 def dimension_of(name: str, hinges: bool) -> int:
     """One of the models lives in three dimensions."""
-    return 3 if (name, hinges) == ("gim_temp", False) else 2
+    return 3 if (name, hinges) == ("recurrent", False) else 2
 
 
 def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
@@ -129,8 +130,6 @@ def scene(name: str, hinges: bool, variant: str) -> tuple[Arrays, np.ndarray]:
 def after(name: str, hinges: bool, every: Arrays, controls: np.ndarray) -> tuple:
     """Position, velocity and belief of several scenes after a step."""
     model = preset(name, dimension_of(name, hinges), width=8, hinges=hinges)
-    if model.control_size != model.dimension:
-        model = dataclasses.replace(model, control_size=model.dimension)
     nodes = Nodes(
         actuated=every["actuated"],
         mask=every["mask"],
@@ -183,9 +182,9 @@ def first(count: int, parts: list[np.ndarray]) -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "hinges", "count"),
     [
-        ("gim_temp", True, 3),
+        ("recurrent", True, 3),
         ("paper_literal", False, 3),
-        *((name, False, 1) for name in ("gim_temp", "full_ab", "paper_literal")),
+        *((name, False, 1) for name in ("recurrent", "full_ab", "paper_literal")),
     ],
 )
 def test_padding_gives_what_a_smaller_array_gives(name: str, hinges: bool, count: int) -> None:
@@ -208,7 +207,7 @@ def test_a_far_object_changes_no_other_prediction_at_all(name: str, hinges: bool
 
 def test_without_a_cutoff_a_far_object_does_change_predictions() -> None:
     """The counterpart: the effect that the test above excludes is real."""
-    for name, part in (("paper_literal", 2), ("no_gim", 1)):
+    for name, part in (("paper_literal", 2), ("no_inference", 1)):
         far, moving = (results(name, False)[variant][part] for variant in ("far", "far_moving"))
         assert np.abs(far[:3] - moving[:3]).max() > 1e-4
 
@@ -258,11 +257,15 @@ class SoftEdges(eqx.Module):
 def test_the_gradient_of_a_step_against_finite_differences() -> None:
     """And it is finite where all nodes coincide, at rest, on their hinge."""
     nodes = hinged(nodes_of(3), HINGE)
-    model = preset("gim_temp", width=4, hinges=True)
+    model = preset("recurrent", width=4, hinges=True)
     model = eqx.tree_at(lambda m: m.sample, model, FixedEdges(jnp.array([1.0, 0.3, 0.6])))
     learned = jax.tree.map(eqx.is_inexact_array, model)
     # No gradient flows to it from features and prior: see test_collision.
     learned = eqx.tree_at(lambda model: model.features.contact_distance, learned, False)
+    given = jax.tree.map(lambda _: False, model.local_dynamics.head.actuation)
+    learned = eqx.tree_at(lambda model: model.local_dynamics.head.actuation, learned, given)
+    # Nor where bodies would coast to.
+    learned = eqx.tree_at(lambda model: model.local_dynamics.head.damper_raw, learned, False)
     arrays, rest = eqx.partition(model, learned)
     rng = np.random.default_rng(4)
     weights = [rng.normal(size=shape) for shape in ((3, 2), (3, 2), (3, 2))]
@@ -300,7 +303,7 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
 
 def test_a_linear_step_uses_the_control_displacement() -> None:
     """Bodies at rest, 2 cm from touch: a push together changes the dynamics of the step."""
-    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    model, nodes = preset("recurrent", width=8), nodes_of(3)
     model = eqx.tree_at(lambda m: m.sample, model, SoftEdges())
     touch = float(model.features.contact_distance)
     position = jnp.array([[0.0, 0.0], [touch + 0.02, 0.0], [2.0, 0.0]])
@@ -319,7 +322,7 @@ def test_a_linear_step_uses_the_control_displacement() -> None:
 
 def test_the_stages_of_a_step_in_their_order() -> None:
     """Each stage by itself gives what the composition holds, and the linear step is its last."""
-    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    model, nodes = preset("recurrent", width=8), nodes_of(3)
     state = random_state(model, nodes)
 
     @eqx.filter_jit
@@ -342,7 +345,7 @@ def test_the_stages_of_a_step_in_their_order() -> None:
 
 
 def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() -> None:
-    model, nodes = preset("gim_temp", width=8), nodes_of(3)
+    model, nodes = preset("recurrent", width=8), nodes_of(3)
     state = begin = random_state(model, nodes)
     controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
     found = eqx.filter_jit(ContactDynamics.rollout)(model, state, controls, nodes)
@@ -368,7 +371,7 @@ def test_a_corrected_belief_changes_the_next_one() -> None:
         state = ModelState(position, still, belief, still)
         return np.asarray(linear_step(model, state, nodes)[1].probability)
 
-    recurrent, memoryless = preset("gim_temp", width=8), preset("gim_non_temp", width=8)
+    recurrent, memoryless = preset("recurrent", width=8), preset("memoryless", width=8)
     change = probability_after(recurrent, 1.0) - probability_after(recurrent, 0.0)
     assert abs(change[0]) > 1e-3 and not np.any(change[1:])
     np.testing.assert_array_equal(
@@ -385,7 +388,7 @@ def three_types() -> ContactDynamics:
         inference=RecurrentEdges(MessagePassing(*sizes, key=keys[2]), edge_types=3, key=keys[3]),
         local_dynamics=SpringMassDamperDynamics(
             message_passing=TypedMessagePassing(networks),
-            head=CoupledHead(8, features.node_types, length=0.1, key=keys[4]),
+            head=ContactLaw(8, 2, length=0.1, actuation=Actuation(2, 2, 2), key=keys[4]),
             discretization=ThetaMethod(),
         ),
         features=features,
@@ -478,7 +481,7 @@ def test_only_present_contacts_transmit_the_control() -> None:
 
 def test_a_contact_that_the_control_would_make_does_not_transmit_it() -> None:
     """Two bodies just out of contact: the model couples them, the force acts on the first."""
-    model, nodes = preset("no_gim"), nodes_of(2)
+    model, nodes = preset("no_inference"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
     state = state_at(model, position, jnp.zeros((2, 2)), nodes)
     apart = dataclasses.replace(state, belief=two_type_belief(jnp.zeros(1)))

@@ -13,8 +13,8 @@ from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.model.collision import geometry
-from contactgraph.model.contact_solver import FreeBodies
 from contactgraph.model.contacts import Contacts
+from contactgraph.model.free_bodies import FreeBodies
 from contactgraph.model.planes import plane_geometry
 
 pytestmark = pytest.mark.usefixtures("double_precision")

@@ -7,21 +7,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import compiled, crowd, hinged, nodes_of, preset
+from model_scenes import DT, PRESETS, compiled, crowd, hinged, nodes_of, preset
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.model import ContactDynamics, LinearDynamics, ModelState
+from contactgraph.model import ContactDynamics, LinearDynamics, ModelConfig, ModelState
 from contactgraph.model.filter import check_fit
 
 pytestmark = pytest.mark.usefixtures("double_precision")
-CASES = [("gim_temp", True), ("paper_literal", False)]
+CASES = [("recurrent", True), ("paper_literal", False)]
 
 
 @cache
 def stepped(name: str, hinges: bool, control: tuple[float, ...]) -> tuple[np.ndarray, ...]:
     """B of a step of a crowd under a control of this size, then the positions and velocities."""
-    model = preset(name, width=8, hinges=hinges)
-    model = dataclasses.replace(model, control_size=len(control))
+    config = ModelConfig(2, len(control), DT, width=8, hinges=hinges)
+    model = PRESETS[name](config, key=jax.random.key(0))
     nodes = hinged(nodes_of(3), (0.3, 0.2)) if hinges else nodes_of(3)
     state = crowd(model, nodes)
 
@@ -57,11 +57,11 @@ def test_without_control_all_moves_as_under_a_control_of_zero(name: str, hinges:
 @pytest.mark.parametrize(
     ("name", "actuated", "size", "accepted"),
     [
-        ("gim_temp", True, 1, False),
-        ("gim_temp", True, 0, False),
-        ("gim_temp", False, 1, True),
-        ("gim_temp", False, 0, True),
-        ("gim_temp", True, 3, True),
+        ("recurrent", True, 1, False),
+        ("recurrent", True, 0, False),
+        ("recurrent", False, 1, True),
+        ("recurrent", False, 0, True),
+        ("recurrent", True, 3, True),
         ("full_ab", True, 1, True),
     ],
 )

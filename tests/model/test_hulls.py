@@ -17,7 +17,7 @@ from contactgraph.data.outlines import hull_moments, hull_rows
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
-from contactgraph.model.body_head import DECELERATION, PACE
+from contactgraph.model.contact_law import DECELERATION, PACE
 from contactgraph.model.polygons import contact_points, plane_points
 from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
 from contactgraph.model.shapes import Meeting

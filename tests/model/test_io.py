@@ -40,7 +40,7 @@ class FirmSample(eqx.Module):
 
 
 def firm(config: ModelConfig, *, key: jax.Array) -> ContactDynamics:
-    model = PRESETS["gim_temp"](config, key=key)
+    model = PRESETS["recurrent"](config, key=key)
     return eqx.tree_at(lambda m: m.sample, model, FirmSample(jnp.asarray(0.5)))
 
 
@@ -50,7 +50,7 @@ TRAINING = {"command": "contactgraph train ä.h5", "seed": 3, "rmse_m": [0.001, 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("models") / "good.safetensors"
-    save_model(path, preset("gim_temp"), "gim-temp", CONFIG, TRAINING)
+    save_model(path, preset("recurrent"), "ours-recurrent", CONFIG, TRAINING)
     return path
 
 
@@ -59,14 +59,13 @@ CONFIG = ModelConfig(2, 2, DT, width=16)
 SERVO = ActuationFit(100.0 * np.eye(2), np.zeros(2), 100.0, 15.0, residual=0.0)
 STRUCK = Impacts(0.25, 0.5, None)
 CONFIGS = {
-    "hinges": ("gim-temp", ModelConfig(2, 2, DT, width=4, hinges=True)),
-    "weight": ("gim-temp", ModelConfig(3, 3, DT, width=4, weight=True)),
+    "hinges": ("paper-literal", ModelConfig(2, 2, DT, width=4, hinges=True)),
     "known distance": (
-        "gim-temp",
+        "ours-recurrent",
         ModelConfig(3, 2, DT, width=4, learned_contact_distance=False),
     ),
     "types": (
-        "bodies",
+        "ours",
         ModelConfig(
             *(2, 2, DT, 0.1),
             width=4,
@@ -79,7 +78,7 @@ CONFIGS = {
         ),
     ),
     "boxes that turn": (
-        "bodies",
+        "ours",
         ModelConfig(
             *(3, 0, DT),
             width=4,
@@ -93,10 +92,10 @@ CONFIGS = {
 }
 
 
-@pytest.mark.parametrize("name", [*PRESETS, *CONFIGS])
+@pytest.mark.parametrize("name", [*NAMED, *CONFIGS])
 def test_a_loaded_model_is_the_saved_one_bit_for_bit(name: str, tmp_path: Path) -> None:
-    made_by, config = CONFIGS.get(name, (name.replace("_", "-"), CONFIG))
-    model = NAMED[made_by](config, key=jax.random.key(0)) if name in CONFIGS else preset(name)
+    made_by, config = CONFIGS.get(name, (name, CONFIG))
+    model = NAMED[made_by](config, key=jax.random.key(0))
     save_model(tmp_path / "model", model, made_by, config, TRAINING)
     stored = load_model(tmp_path / "model")
     assert stored.training == TRAINING
@@ -124,9 +123,9 @@ def test_every_shipped_file_loads_and_is_saved_unchanged(name: str, tmp_path: Pa
 def test_the_summary_describes_the_file(good: Path) -> None:
     summary = describe_model(good)
     assert summary.training == TRAINING
-    assert (summary.preset, summary.config) == ("gim-temp", CONFIG)
+    assert (summary.preset, summary.config) == ("ours-recurrent", CONFIG)
     assert summary.size == good.stat().st_size
-    arrays = module_arrays(preset("gim_temp"))
+    arrays = module_arrays(preset("recurrent"))
     assert summary.parameter_count == sum(array.size for array in arrays.values())
 
 
@@ -312,7 +311,7 @@ def test_single_precision_weights_are_read_as_such_in_a_double_session(good: Pat
 
 
 def test_unsupported_models_are_not_saved(tmp_path: Path) -> None:
-    model, path, made_by = preset("gim_temp"), tmp_path / "model", ("gim-temp", CONFIG)
+    model, path, made_by = preset("recurrent"), tmp_path / "model", ("ours-recurrent", CONFIG)
     bad = eqx.tree_at(lambda model: model.features.contact_distance, model, jnp.array(jnp.nan))
     with pytest.raises(InvalidInputError, match=r"'features\.contact_distance' must be finite"):
         save_model(path, bad, *made_by)
@@ -321,8 +320,8 @@ def test_unsupported_models_are_not_saved(tmp_path: Path) -> None:
             save_model(path, model, *made_by, training)
 
     other = eqx.tree_at(lambda model: model.sample, model, GumbelSample(0.3))
-    for wrong in (other, preset("gim_temp", hinges=True), preset("gim_temp", width=8)):
-        with pytest.raises(InvalidInputError, match="'gim-temp' makes another model"):
+    for wrong in (other, preset("recurrent", width=8)):
+        with pytest.raises(InvalidInputError, match="'ours-recurrent' makes another model"):
             save_model(path, wrong, *made_by)
     assert not list(tmp_path.iterdir())
 

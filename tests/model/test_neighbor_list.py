@@ -120,8 +120,8 @@ def rolled(model: ContactDynamics, nodes: Nodes, size: float):
 @pytest.mark.parametrize(
     ("name", "hinges"),
     [
-        pytest.param("gim_temp", False, marks=pytest.mark.slow),
-        pytest.param("gim_temp", True, marks=pytest.mark.slow),
+        pytest.param("recurrent", False, marks=pytest.mark.slow),
+        pytest.param("recurrent", True, marks=pytest.mark.slow),
     ],
 )
 def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: bool) -> None:
@@ -150,7 +150,7 @@ def test_predictions_and_gradients_are_those_of_all_pairs(name: str, hinges: boo
 @pytest.mark.slow
 def test_an_overflowing_list_predicts_nan() -> None:
     nodes = nodes_of(6)
-    model = preset("gim_temp")
+    model = preset("recurrent")
     state = crowd(model, nodes)
     for lists in (
         NeighborList(max_edges=3, cell_capacity=6),
@@ -166,7 +166,7 @@ def test_an_overflowing_list_predicts_nan() -> None:
 
 def test_neighbor_lists_are_allocated_for_a_scene() -> None:
     nodes = nodes_of(20, 23)
-    model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
+    model = dataclasses.replace(preset("recurrent"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
     state = crowd(model, nodes, size=0.4)
     way = travel_bound(state.position, state.velocity, None, None, DT)
     pairs, _ = listed(state.position, way, nodes.mask)
@@ -186,7 +186,7 @@ def test_neighbor_lists_are_allocated_for_a_scene() -> None:
 def test_a_list_for_a_lattice_is_one_at_any_speed(spacing: float) -> None:
     """Cells repeat, and become longer with the fastest node; none of the lattice's is fuller."""
     nodes = nodes_of(40, 40)
-    model = dataclasses.replace(preset("gim_temp"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
+    model = dataclasses.replace(preset("recurrent"), cutoff=SmoothCutoff(inner=0.1, outer=FAR))
     lattice = np.stack(np.meshgrid(np.arange(8), np.arange(5)), axis=-1).reshape(-1, 2)
     position = jnp.asarray(spacing * lattice, jnp.float32)
     found = allocate_neighbor_list(model, position, jnp.zeros((40, 2)), nodes).neighbor_list
@@ -234,9 +234,9 @@ def near_pairs(name: str, max_edges: int = 9, cell_capacity: int = 9) -> Contact
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: near_pairs("no_gim"), r"need a SmoothCutoff.*found NoCutoff"),
-        (lambda: near_pairs("gim_temp", 4, 0), "cell_capacity must be at least 1, found 0"),
-        (lambda: check_motion_model(near_pairs("gim_temp")), "must have no neighbor list"),
+        (lambda: near_pairs("no_inference"), r"need a SmoothCutoff.*found NoCutoff"),
+        (lambda: near_pairs("recurrent", 4, 0), "cell_capacity must be at least 1, found 0"),
+        (lambda: check_motion_model(near_pairs("recurrent")), "must have no neighbor list"),
     ],
 )
 def test_where_lists_cannot_be_they_are_refused(wrong: Callable[[], object], message: str) -> None:
@@ -245,18 +245,18 @@ def test_where_lists_cannot_be_they_are_refused(wrong: Callable[[], object], mes
 
 
 def test_a_model_file_has_no_neighbor_list(tmp_path: Path) -> None:
-    model, near = preset("gim_temp"), near_pairs("gim_temp", max_edges=5000)
+    model, near = preset("recurrent"), near_pairs("recurrent", max_edges=5000)
     config = ModelConfig(2, 2, DT, width=16)
     listed, every = tmp_path / "listed.safetensors", tmp_path / "every.safetensors"
-    save_model(listed, near, "gim-temp", config)
-    save_model(every, model, "gim-temp", config)
+    save_model(listed, near, "ours-recurrent", config)
+    save_model(every, model, "ours-recurrent", config)
     assert listed.read_bytes() == every.read_bytes()
     assert load_model(listed).model.neighbor_list is None
 
 
 def test_a_step_takes_beliefs_of_all_pairs_too() -> None:
     nodes = nodes_of(6)
-    model, near = preset("gim_temp"), near_pairs("gim_temp", 20, 6)
+    model, near = preset("recurrent"), near_pairs("recurrent", 20, 6)
     state = crowd(model, nodes)
     linear, belief = eqx.filter_jit(near.linear_step)(state, nodes)
     expected, every = eqx.filter_jit(model.linear_step)(state, nodes)

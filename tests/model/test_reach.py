@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from model_scenes import follow, slippery_bodies, state_at
-from test_body_head import CONFIG, DT, SERVO, model, scene
+from test_contact_law import CONFIG, DT, SERVO, model, scene
 
 from contactgraph.control import ILQR, ControlLimits, chain_cost
 from contactgraph.model import ModelState, Nodes, scene_nodes

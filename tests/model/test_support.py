@@ -11,14 +11,14 @@ from model_scenes import jitted_geometry, with_random_weights
 
 from contactgraph.data import pair_indices
 from contactgraph.model import (
+    PRESETS,
     ContactBelief,
     ContactDynamics,
     ModelConfig,
     ModelState,
     Nodes,
-    gim_temp,
 )
-from contactgraph.model.contact_solver import lifted_fraction
+from contactgraph.model.free_bodies import lifted_fraction
 
 jitted_fraction = eqx.filter_jit(lifted_fraction)
 
@@ -30,23 +30,23 @@ WEIGHT = np.array([0.0, 0.0, -3.9])
 @cache
 def model_with_weight() -> ContactDynamics:
     """Its unactuated nodes weigh 3.9 N and rub on the ground, nothing reaches them otherwise."""
-    config = ModelConfig(3, 3, DT, 0.05, weight=True)
-    model = with_random_weights(lambda: gim_temp(config, key=jax.random.PRNGKey(0)))
+    config = ModelConfig(3, 3, DT, 0.05)
+    model = with_random_weights(
+        lambda: PRESETS["ours-recurrent"](config, key=jax.random.PRNGKey(0))
+    )
     head = model.local_dynamics.head
     last = head.edge.layers[-1]
     head = eqx.tree_at(
         lambda h: (
-            h.support.weight_root,
             h.log_mass,
-            h.gain_root,
+            h.damper_raw,
             h.edge.layers[-1].weight,
             h.edge.layers[-1].bias,
         ),
         head,
         (
-            jnp.stack([WEIGHT / 5.0, jnp.zeros(3)]),
             jnp.log(jnp.array([0.4, 4.0])) / 5.0,
-            jnp.array([0.0, 0.2]),
+            jnp.full(2, 1.2),  # 0.7 1/s
             jnp.zeros_like(last.weight),
             # Holds as firmly as an edge can, without a spring.
             jnp.array([20.0, -40.0, 0.0]),
@@ -60,6 +60,7 @@ def state(velocity: np.ndarray, active: list[float]) -> tuple[ModelState, Nodes]
     probability = np.array(active)
     belief = ContactBelief(jnp.asarray(np.stack([1.0 - probability, probability], axis=-1)))
     nodes = Nodes(jnp.asarray(np.arange(3) == 0), jnp.ones(3, bool), jnp.asarray(probability > 0.5))
+    nodes = nodes._replace(gravity=jnp.asarray(WEIGHT / 0.4))
     return ModelState(position, jnp.asarray(velocity), belief), nodes
 
 
@@ -81,13 +82,13 @@ def change(active: list[float], velocity: np.ndarray, control: np.ndarray) -> np
 
 def test_supported_nodes_rest_and_have_no_weight() -> None:
     found = change([0.0, 0.0, 1.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
-    assert np.allclose(found[0], [0, 0, DT * 8.0 / 4.0], rtol=1e-6)
+    assert np.allclose(found[0], [0, 0, DT * 8.0], rtol=1e-6)
     assert np.allclose(found[1:], 0.0, atol=1e-12), "two blocks that touch do not fall"
 
 
 def test_a_carried_node_loads_its_carrier() -> None:
     found = change([1.0, 0.0, 0.0], np.zeros((3, 3)), np.array([0.0, 0.0, 8.0]))
-    together = DT * (8.0 + WEIGHT[2]) / 4.4
+    together = DT * (4.0 * 8.0 + WEIGHT[2]) / 4.4
     assert np.allclose(found[:2, 2], together, rtol=0.02)
     assert np.allclose(found[2], 0.0)
 
@@ -118,7 +119,7 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
 
 
 def test_a_given_contact_distance_is_not_a_model_weight() -> None:
-    model = gim_temp(
+    model = PRESETS["ours-recurrent"](
         ModelConfig(3, 3, DT, 0.02, learned_contact_distance=False), key=jax.random.PRNGKey(0)
     )
     assert model.features.contact_distance == 0.02

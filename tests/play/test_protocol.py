@@ -219,7 +219,7 @@ def test_a_taken_port_is_told():
         (["nothing"], "name the task too"),
         (["nothing", "pickup"], "no such run folder"),
         (["pickup", "nothing"], "task must be one of"),
-        (["pickup", "door"], "has no hinges"),
+        (["pickup", "door"], "nodes of type door, which the model does not know"),
         (["pickup", "--port", "99999"], "--port must be"),
         (["pickup", "--record", "/nowhere/file.h5"], "does not exist"),
     ],

@@ -55,7 +55,7 @@ def test_one_row_for_each_task_condition_and_model() -> None:
     assert [first[f"{name}_every_step"] for name in ("successes", "episodes")] == ["20", "20"]
     assert [first[name] for name in ("successes", "episodes")] == ["20", "20"]
     assert first["percent_of_each_seed"] == "100 100 100"
-    folder = "cells/pickup/seed-0/gim-temp-40/run"
+    folder = "cells/pickup/seed-0/ours-recurrent-40/run"
     assert first["command_closed_loop"].startswith(f"contactgraph control {folder} ")
     assert first["command_open_loop"].startswith("contactgraph evaluate ")
     assert (free["successes"], free["successes_every_step"]) == ("2", "")

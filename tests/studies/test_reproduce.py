@@ -121,8 +121,8 @@ def test_all_tasks_go_into_one_folder(
     full, quick = ({job.output for job in jobs} for jobs in made_up)
     assert len(quick) < len(full) / 2
     for task in ("pickup", "multi-pickup", "door"):
-        assert f"cells/{task}/seed-2/gim-temp-40/run" in full - quick
-        assert (f"cells/{task}/seed-0/gim-temp-40/run" in quick) == (task == "pickup")
+        assert f"cells/{task}/seed-2/ours-recurrent-40/run" in full - quick
+        assert (f"cells/{task}/seed-0/ours-recurrent-40/run" in quick) == (task == "pickup")
     assert quick < full
 
 

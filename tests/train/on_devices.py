@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from training import split
 
-from contactgraph.model import ContactDynamics, ModelConfig, gim_temp
+from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
 from contactgraph.model.serialization import module_arrays
 from contactgraph.train import FitState, TrainConfig, fit, initial_state
 
@@ -19,7 +19,7 @@ CONFIG = TrainConfig(steps=12, batch_size=8, window_length=3, rollout_from=1.0, 
 
 
 def first_model() -> ContactDynamics:
-    return gim_temp(ModelConfig(2, 2, 0.05, 0.1), key=jax.random.key(0))
+    return PRESETS["ours-recurrent"](ModelConfig(2, 2, 0.05, 0.1), key=jax.random.key(0))
 
 
 def trained(devices: list[jax.Device], path: Path) -> FitState:

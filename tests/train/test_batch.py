@@ -19,6 +19,8 @@ from contactgraph.data import (
     pad_trajectories,
     window_weights,
 )
+from contactgraph.data.trajectory_batch import TrajectoryBatch
+from contactgraph.data.windows import Windows
 from contactgraph.train.batch import (
     WindowSource,
     add_distractor,
@@ -48,6 +50,11 @@ def padded():
     return pad_trajectories(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
 
 
+def indices(windows: Windows, padded: TrajectoryBatch) -> np.ndarray:
+    """Of all windows, in a source of these trajectories."""
+    return windows.trajectory * padded.control.shape[1] + windows.start
+
+
 def test_windows_are_drawn_as_often_as_given(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
     assert windows.has_event.any() and not windows.has_event.all()
@@ -62,7 +69,7 @@ def test_windows_are_drawn_as_often_as_given(padded) -> None:
 
 def test_a_window_is_a_section_of_its_trajectory(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
-    batch = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
+    batch = take(window_source(padded, windows), indices(windows, padded))
     for index, (number, start) in enumerate(zip(windows.trajectory, windows.start, strict=True)):
         for name, end in (("position", 4), ("velocity", 4), ("control", 3)):
             expected = getattr(padded, name)[number, start : start + end]
@@ -78,7 +85,7 @@ def test_hinges_go_with_their_trajectories(padded) -> None:
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
     runs = pad_trajectories(Dataset((free, hung)))
     windows = window_weights(runs, 3, 0.6)
-    nodes = take(window_source(runs, windows), np.arange(len(windows.trajectory))).nodes
+    nodes = take(window_source(runs, windows), indices(windows, runs)).nodes
     hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))
     np.testing.assert_array_equal(hinged, (windows.trajectory == 1)[:, None] & [False, True, False])
     np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
@@ -94,12 +101,12 @@ def test_static_bodies_go_with_their_trajectories(padded) -> None:
     assert pad_trajectories((run(2, 5, 100.0),)).nodes.static is None
     windows = window_weights(padded, 3, 0.6)
     source = window_source(pad_trajectories(dataset), windows)
-    taken = take(source, np.arange(len(windows.trajectory)))
+    taken = take(source, indices(windows, padded))
     second = (windows.trajectory == 1)[:, None]
     np.testing.assert_array_equal(taken.nodes.static, second & [False, False, True])
     two_bodies, with_pillar = [True, True, False], [True, True, False]
     np.testing.assert_array_equal(taken.learned, [two_bodies] * 3 + [with_pillar] * 6)
-    plain = take(window_source(padded, windows), np.arange(len(windows.trajectory)))
+    plain = take(window_source(padded, windows), indices(windows, padded))
     assert plain.nodes.static is None
     np.testing.assert_array_equal(plain.learned, padded.nodes.mask[windows.trajectory])
     among = eqx.filter_jit(add_distractor)(taken, 1e6, 2e6, jax.random.key(0))

@@ -11,7 +11,7 @@ import pytest
 from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
-from contactgraph.model import ContactSensor, ModelConfig, hidden_markov_filter
+from contactgraph.model import ContactSensor, ModelConfig, ours
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import judged_steps as reports_module
 from contactgraph.train.batch import Window
@@ -19,7 +19,7 @@ from contactgraph.train.filter_loss import _denial_score, filter_loss
 from contactgraph.train.judged_steps import judge_steps, random_reports
 from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
 
-MODEL = hidden_markov_filter(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
+MODEL = ours(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)
 USED = jnp.ones((4, 40), bool)
 

@@ -13,7 +13,7 @@ from training import BASELINES, CONFIG, first_state, split, trained_on
 
 from contactgraph.data import pad_trajectories
 from contactgraph.data.windows import window_weights
-from contactgraph.model import ContactDynamics, ModelConfig, gim_non_temp, gim_temp, no_gim
+from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab, paper_literal
 from contactgraph.model.presets import Preset
@@ -45,7 +45,7 @@ def local_messages(model: ContactDynamics) -> MessagePassing | EdgeNetwork:
 
 @pytest.mark.parametrize("layer", [0, 1, 2])
 def test_a_layer_that_is_never_active_is_dead(windows: Window, layer: int) -> None:
-    model = gim_temp(CONFIGURATION, key=jax.random.key(0))
+    model = PRESETS["ours-recurrent"](CONFIGURATION, key=jax.random.key(0))
     assert not has_dead_units(model, windows)
     assert has_dead_units(killed(model, edge_layer(layer)), windows)
 
@@ -53,9 +53,9 @@ def test_a_layer_that_is_never_active_is_dead(windows: Window, layer: int) -> No
 @pytest.mark.parametrize(
     ("preset", "layer"),
     [
-        (gim_non_temp, edge_layer(0)),
+        (PRESETS["ours-memoryless"], edge_layer(0)),
         (
-            no_gim,
+            PRESETS["ours-no-inference"],
             lambda model: model.local_dynamics.message_passing.types[0].network.layers[2].bias,
         ),
         (full_ab, lambda model: model.inference.message_passing.steps[1].message.bias),
@@ -76,13 +76,13 @@ def test_local_dynamics_may_treat_all_edges_alike_where_edges_are_inferred(
     windows: Window,
 ) -> None:
     """Bodies that are always held rigidly need no more than one coupling."""
-    model = gim_temp(CONFIGURATION, key=jax.random.key(0))
+    model = PRESETS["ours-recurrent"](CONFIGURATION, key=jax.random.key(0))
     model = killed(model, lambda model: local_messages(model).network.layers[2].bias)
     assert not has_dead_units(model, windows)
 
 
 def test_nothing_is_said_about_bodies_that_are_never_near_or_all_alike(windows: Window) -> None:
-    dead = killed(gim_temp(CONFIGURATION, key=jax.random.key(0)), edge_layer(2))
+    dead = killed(PRESETS["ours-recurrent"](CONFIGURATION, key=jax.random.key(0)), edge_layer(2))
     far = windows.position.at[:, :, 1].add(9.0)
     assert not has_dead_units(dead, dataclasses.replace(windows, position=far))
     alike = jax.tree.map(jnp.zeros_like, (windows.position, windows.velocity))

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
-from contactgraph.model import ModelConfig, gim_temp
 from contactgraph.train import body_defaults, defaults_from_data
 
 
@@ -28,7 +26,7 @@ def scene(**metadata: float) -> Scene:
 def test_the_contact_distance_is_learned_without_a_given_one() -> None:
     found = defaults_from_data(trajectories(scene()))
     assert (found.contact_distance, found.learned_contact_distance) == (0.085, True)
-    assert (found.hinges, found.weight, found.rollout_from) == (False, False, 0.5)
+    assert (found.hinges, found.rollout_from) == (False, 0.5)
 
 
 def test_a_given_distance_is_kept() -> None:
@@ -42,8 +40,9 @@ def test_weight_and_hinges_are_detected_in_any_trajectory() -> None:
     heavy = replace(scene(), gravity=np.array([0.0, -9.81]))
     hinged = replace(scene(), anchor=np.array([[np.nan, np.nan], [0.0, 0.0]]))
     found = defaults_from_data(trajectories(scene(), heavy, hinged))
-    assert found.weight and found.hinges and found.rollout_from == 0.0
-    assert not defaults_from_data(trajectories(replace(scene(), gravity=np.zeros(2)))).weight
+    assert found.hinges and found.rollout_from == 0.0
+    light = trajectories(replace(scene(), gravity=np.zeros(2)))
+    assert defaults_from_data(light).rollout_from == 0.5
 
 
 def test_planes_stop_only_the_types_that_stay_before_them() -> None:
@@ -87,44 +86,6 @@ def test_boxes_on_planes_have_outlines_even_where_they_never_turn() -> None:
     assert borne.turn_length == pytest.approx(0.1 / 6**0.5) and borne.inertia == {"box": 1.0}
 
 
-def followed(kind: str, count: int = 40) -> Trajectory:
-    """v' = 0.3 v + 16 u along both axes, with steps of 0.04 s: a gain of 400."""
-    control = np.random.default_rng(0).normal(size=(count, 2))
-    velocity = np.zeros((count + 1, 2, 2))
-    for step in range(count):
-        velocity[step + 1, 0] = 0.3 * velocity[step, 0] + 16.0 * control[step]
-    kinds = replace(scene(), dt=0.04, control_kind=(kind, kind))
-    return Trajectory(kinds, np.zeros_like(velocity), velocity, control)
-
-
-@pytest.mark.parametrize(
-    ("kind", "gain"),
-    [("displacement", 400), ("velocity", 400), ("force", 1), ("position", 1), ("switch", 1)],
-)
-def test_the_gain_of_a_control_that_is_followed_comes_from_the_data(kind: str, gain: float) -> None:
-    found = defaults_from_data(Dataset((followed(kind),)))
-    assert found.control_gain == pytest.approx(gain)
-
-
-def test_the_gain_ignores_components_that_act_on_nothing_and_controls_against_the_motion() -> None:
-    given = followed("displacement")
-    second = given.velocity.copy()
-    second[..., 1] *= -1.0
-    of_first = replace(given.scene, control_of=np.array([[True, False], [False, False]]))
-    turned = replace(given, scene=of_first, velocity=second)
-    assert defaults_from_data(Dataset((turned,))).control_gain == pytest.approx(400)
-    against = replace(given, velocity=-given.velocity)
-    assert defaults_from_data(Dataset((against,))).control_gain == 1.0
-    assert defaults_from_data(trajectories(scene())).control_gain == 1.0
-
-
-def test_a_model_starts_with_its_gain_on_actuated_nodes_alone() -> None:
-    for hinges in (False, True):
-        config = ModelConfig(2, 2, 0.05, width=2, hinges=hinges, control_gain=400.0)
-        head = gim_temp(config, key=jax.random.key(0)).local_dynamics.head
-        np.testing.assert_allclose(head.free_response, [1.0, 400.0] * (1 + hinges), rtol=1e-6)
-
-
 @pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), "near"])
 def test_a_distance_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InvalidInputError, match="contact_distance must be positive metres"):
@@ -134,6 +95,16 @@ def test_a_distance_that_is_none_is_refused(wrong) -> None:
 def test_trajectories_must_not_contradict_each_other() -> None:
     with pytest.raises(InvalidInputError, match="the same in all trajectories"):
         defaults_from_data(trajectories(scene(contact_distance=0.02), scene(contact_distance=0.03)))
+
+
+def followed(kind: str, count: int = 40) -> Trajectory:
+    """v' = 0.3 v + 16 u along both axes, with steps of 0.04 s."""
+    control = np.random.default_rng(0).normal(size=(count, 2))
+    velocity = np.zeros((count + 1, 2, 2))
+    for step in range(count):
+        velocity[step + 1, 0] = 0.3 * velocity[step, 0] + 16.0 * control[step]
+    kinds = replace(scene(), dt=0.04, control_kind=(kind, kind))
+    return Trajectory(kinds, np.zeros_like(velocity), velocity, control)
 
 
 def test_a_component_that_drives_no_node_is_refused_for_bodies() -> None:

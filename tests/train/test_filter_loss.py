@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from training import CONFIG, split, window_of
 
-from contactgraph.model import ContactBelief, ModelConfig, hidden_markov_filter
+from contactgraph.model import ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import (
@@ -29,7 +29,7 @@ from contactgraph.train.judged_steps import (
 )
 
 DT, LEAST = 0.05, 2e-3
-MODEL = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+MODEL = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)
 
 
@@ -104,11 +104,16 @@ def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_do
 
 
 def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
-    beliefs, masses = eqx.filter_jit(corrected_beliefs)(MODEL, windows())
-    found = jax.tree.map(np.asarray, beliefs)
-    assert masses is None  # All bodies of a type weigh alike.
-    assert found.type_probability.shape == (2, 1, 3) and found.memory.shape == (2, 1, 8 + 3)
-    assert found.type_probability[0, 0, 0] < 0.5 < found.type_probability[1, 0, 0]
+
+    @eqx.filter_jit
+    def corrected(model, given):
+        return corrected_beliefs(model, given, judge_steps(model, given))
+
+    found = jax.tree.map(np.asarray, corrected(MODEL, windows()))
+    assert found.type_probability.shape == (2, 4, 1, 3) and found.memory.shape == (2, 4, 1, 8 + 3)
+    assert found.type_probability[0, -1, 0, 0] < 0.5 < found.type_probability[1, -1, 0, 0]
+    first = corrected(MODEL, windows().part(0, 2))
+    np.testing.assert_allclose(found.type_probability[:, :2], first.type_probability, atol=1e-6)
 
 
 @pytest.mark.parametrize("types", [2, 3, 4])
@@ -164,7 +169,7 @@ def test_states_that_are_not_observed_are_predicted() -> None:
 def test_a_filter_trains_through_its_checks(recorded: Path) -> None:
     """Both losses, the rollout term, the dead-network check and the corrected held-out windows."""
     parts = split(recorded)
-    model = hidden_markov_filter(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    model = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
     checks: list[FitProgress] = []
     found = fit(initial_state(model, CONFIG, 0), *parts, CONFIG, checks.append)
     assert found.status is FitStatus.finished and [each.step for each in checks] == [4, 8, 12]

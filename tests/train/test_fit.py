@@ -37,7 +37,7 @@ from contactgraph.data import (
     write_trajectories,
 )
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import ModelConfig, gim_temp
+from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.model.io import load_model
 from contactgraph.train import (
     FitProgress,
@@ -183,7 +183,7 @@ def test_the_command_trains_on_no_held_out_trajectory(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("contactgraph.train.fit", spy)
-    options = ["--out", str(tmp_path / "run"), "--model", "gim-temp"]
+    options = ["--out", str(tmp_path / "run"), "--model", "ours-recurrent"]
     assert cli.run(["train", str(recorded), *options]) == 130
     train, held_out = ({run.position.tobytes() for run in part} for part in parts)
     assert (len(train), len(held_out)) == (17, 3)
@@ -196,9 +196,9 @@ def test_training_draws_from_its_own_part_and_checks_on_the_other(
     """Each part is padded once, without contact labels."""
     padded, given = [], []
 
-    def spy(trajectories: Dataset, **options: bool) -> object:
+    def spy(trajectories: Dataset, **options: bool | None) -> object:
         padded.append(trajectories)
-        assert options == {"contacts": False, "turn_length": None}
+        assert options == {"contacts": False, "turn_length": None, "steps": None}
         return pad_trajectories(trajectories, **options)
 
     def stop(state: object, source: WindowSource, checked: HeldOutWindows, *rest: object) -> None:
@@ -265,7 +265,7 @@ def test_a_learned_contact_distance_stays_positive(
 
 def test_a_distance_is_updated_in_units_of_its_first_guess_and_all_else_as_it_was() -> None:
     config = ModelConfig(2, 2, 0.05, 0.02, width=4, learned_contact_distance=False)
-    given, model = gim_temp(config, key=jax.random.key(0)), first_state().model
+    given, model = PRESETS["ours-recurrent"](config, key=jax.random.key(0)), first_state().model
     assert in_lengths(given) is given and with_positive_distance(given) is given
     scaled = in_lengths(model)
     distance, length = model.features.contact_distance, model.features.length
@@ -291,7 +291,7 @@ def test_a_training_by_the_defaults_learns(recorded: Path, fresh: Path, tmp_path
 def test_a_short_training_is_what_it_was(recorded: Path, tmp_path: Path) -> None:
     """Bands are wide: platforms round differently, and the difference grows over 300 steps."""
     trained = tmp_path / "run"
-    options = ["--model", "gim-temp", "--steps", "300"]
+    options = ["--model", "ours-recurrent", "--steps", "300"]
     assert cli.run(["train", str(recorded), "--out", str(trained), *options]) == 0
     golden = json.loads(GOLDEN.read_text())
     rows = RunFolder(trained).metrics()

@@ -13,7 +13,7 @@ from contactgraph.model import (
     ModelConfig,
     ModelState,
     PriorEdges,
-    bodies,
+    ours,
     scene_nodes,
 )
 from contactgraph.train import TrainConfig, body_defaults, fit, initial_state
@@ -78,7 +78,7 @@ def laws(model: ContactDynamics) -> tuple[float, float]:
 
 
 def test_bounce_and_friction_of_a_model_are_found_from_its_own_motion() -> None:
-    fresh = bodies(config(Dataset((at_rest(9),))), key=jax.random.key(0))
+    fresh = ours(config(Dataset((at_rest(9),))), key=jax.random.key(0))
     true = eqx.tree_at(
         lambda each: (
             each.local_dynamics.head.bounce_raw,
@@ -110,7 +110,7 @@ def test_what_the_data_do_not_tell_stays() -> None:
     made = config(data)
     assert made.identified
     training = TrainConfig(steps=3, batch_size=4, window_length=3, check_every=3)
-    fresh = bodies(made, key=jax.random.key(0))
+    fresh = ours(made, key=jax.random.key(0))
     result = fit(initial_state(fresh, training, 0), data, data, training)
     bounce, friction = laws(result.model)
     assert bounce < 0.2 and friction > 0.3

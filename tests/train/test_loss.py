@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from training import window_of
 
-from contactgraph.model import LinearDynamics, ModelConfig, gim_temp, two_type_belief
+from contactgraph.model import PRESETS, LinearDynamics, ModelConfig, two_type_belief
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
@@ -84,7 +84,7 @@ def test_the_terms_by_hand() -> None:
 
 @pytest.mark.slow
 def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
-    model = gim_temp(ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
+    model = PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=4), key=jax.random.key(0))
     rng = np.random.default_rng(0)
     window = window_of(*(0.1 * rng.normal(size=(2, 2, 3, 2, 2))), np.zeros((2, 2, 2)))
 
@@ -196,7 +196,7 @@ def random_windows(padding: float) -> Window:
 
 
 def test_the_gradient_is_finite_and_padding_changes_nothing() -> None:
-    model = gim_temp(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
+    model = PRESETS["ours-recurrent"](ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 
     @eqx.filter_jit
     @partial(eqx.filter_value_and_grad, has_aux=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from training import window_of
 
-from contactgraph.model import ContactDynamics, ModelConfig, NeighborList, gim_temp
+from contactgraph.model import PRESETS, ContactDynamics, ModelConfig, NeighborList
 from contactgraph.train import LossTerms
 from contactgraph.train import loss as chunked_vmap
 from contactgraph.train.batch import Window
@@ -39,7 +39,7 @@ def loss_and_gradient(
 @pytest.fixture(scope="module")
 def of_all_pairs() -> tuple:
     """A model, four windows, and their loss and gradient."""
-    model = gim_temp(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
+    model = PRESETS["ours-recurrent"](ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(1))
     drawn = jax.tree.map(
         lambda leaf: jnp.concatenate([leaf, 0.9 * leaf]).astype(leaf.dtype), windows()
     )

@@ -51,7 +51,7 @@ OTHER = in_units(METRES, Units(1.0 / LENGTHS, tuple(1.0 / COMMANDS)))
 
 def test_a_training_sees_the_same_numbers_whatever_the_units() -> None:
     metres, other = recipe(METRES), recipe(OTHER)
-    assert metres.name == "bodies"
+    assert metres.name == "ours"
     assert (metres.units.length, other.units.length) == (1.0, LENGTHS)
     for one, two in zip(metres.dataset, other.dataset, strict=True):
         for name in ("position", "velocity", "control"):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
-from contactgraph.model import ModelConfig, Nodes, gim_temp
+from contactgraph.model import PRESETS, ModelConfig, Nodes
 from contactgraph.model.serialization import module_arrays
 from contactgraph.train import (
     FitProgress,
@@ -54,7 +54,9 @@ def split(path: Path) -> tuple[Dataset, Dataset]:
 
 
 def first_state(seed: int = 0) -> FitState:
-    return initial_state(gim_temp(ModelConfig(2, 2, 0.05), key=jax.random.key(seed)), CONFIG, seed)
+    return initial_state(
+        PRESETS["ours-recurrent"](ModelConfig(2, 2, 0.05), key=jax.random.key(seed)), CONFIG, seed
+    )
 
 
 def states_until(steps: int, state: FitState, parts: tuple[Dataset, Dataset]) -> FitState:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactgraph.cli.options import AUTO, TEMPERATURE, choice, load_object
+from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.model import (
     PAPER_PRESETS,
@@ -29,8 +29,6 @@ from contactgraph.model.contact_belief import first_holding_type
 if TYPE_CHECKING:
     from contactgraph.train import HeldOutBaselines
 
-FILTERS = ("filter", "bodies")
-"""Models whose edges have types, and whose belief is a hidden Markov filter."""
 _MADE_BY = re.compile(r"(?P<preset>[\w.]+:[\w.]+)@(?P<name>.+)")
 _STEP_TOLERANCE = 1e-6
 """Relative difference of time steps that counts as none."""
@@ -79,7 +77,7 @@ def stored_model(name: str | Path) -> ContactDynamics:
 
     >>> import contactgraph
     >>> contactgraph.load("pickup")
-    ContactDynamics(RecurrentEdges, D=2, U=2, dt=0.05 s)
+    ContactDynamics(TransitionEdges, D=2, U=2, dt=0.05 s)
     """
     preset, _ = _split(str(name))
     return load_model(model_path(str(name)), model_preset(preset) if preset else None).model
@@ -211,8 +209,8 @@ def check_edge_types(model: str, edge_types: int | None) -> None:
     """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
     from contactgraph.data import InvalidInputError
 
-    if edge_types is not None and model not in (AUTO, *FILTERS, "relations") and ":" not in model:
+    if edge_types is not None and model not in ("ours", "relations") and ":" not in model:
         raise InvalidInputError(
-            f"--edge-types: {model} has no types to choose; it is for filter, bodies or relations, "
+            f"--edge-types: {model} has no types to choose; it is for ours and relations, "
             f"found {edge_types}"
         )

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from contactgraph.cli.options import AUTO
-
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
     from contactgraph.model import ContactDynamics, ModelConfig
@@ -29,8 +27,11 @@ class Recipe:
     rollout_from: float
     units: "Units | None"
     """None: those of the data."""
-    reason: str
-    """For the model."""
+
+    @property
+    def length(self) -> float:
+        """The unit of lengths in training, in the data's."""
+        return 1.0 if self.units is None else self.units.length
 
     def model(self) -> "ContactDynamics":
         """With fresh weights, in the units of training."""
@@ -56,7 +57,7 @@ class Recipe:
         config = self.in_data
         learned = "learned from there" if config.learned_contact_distance else "kept"
         rows = {
-            "model": f"{self.name}, {self.reason}",
+            "model": self.name,
             "contact distance": f"{config.contact_distance:.4g}, {learned}",
             "rollouts": f"in the loss from {100 * self.rollout_from:.0f} % of the steps on",
         }
@@ -96,7 +97,7 @@ class Recipe:
 
 def recipe(
     dataset: "Dataset",
-    model: str = AUTO,
+    model: str = "ours",
     *,
     seed: int = 0,
     contact_distance: float | None = None,
@@ -115,15 +116,10 @@ def recipe(
     from contactgraph.train.units import in_units, typical_distance, units_of
 
     defaults = defaults_from_data(dataset)
-    reason = "as told"
-    if model == AUTO:
-        found = _beyond_points(dataset)
-        reason = f"since there are {found}" if found else "since forces drive bodies of one kind"
-        model = "bodies" if found else "filter"
     names = "contact_distance", "learned_contact_distance"
     given: dict[str, Any] = {name: getattr(defaults, name) for name in names}
     units, length = None, 1.0
-    if model == "bodies":
+    if model.startswith("ours") and model != "ours-full-ab":
         given = vars(body_defaults(dataset))
         units = units_of(dataset, contact_distance or given[names[0]], CONTACT_DISTANCE)
         length = units.length
@@ -146,8 +142,6 @@ def recipe(
             dataset.dt,
             speed=speed,
             hinges=defaults.hinges,
-            weight=defaults.weight,
-            control_gain=defaults.control_gain,
             edge_types=(2 if model == "relations" else 3) if edge_types is None else edge_types,
             **paper,
             **given,
@@ -165,25 +159,4 @@ def recipe(
         in_data=in_data,
         rollout_from=defaults.rollout_from if rollout_from is None else rollout_from,
         units=units,
-        reason=reason,
     )
-
-
-def _beyond_points(dataset: "Dataset") -> str:
-    """What the data have that `filter` does not know; empty: nothing."""
-    from contactgraph.data.actuation_fit import SERVO_KINDS
-    from contactgraph.data.dataset import masses_vary
-    from contactgraph.train.turning import find_turning
-
-    scenes = [each.scene for each in dataset]
-    kinds = {kind for each in scenes for kind in each.control_kind or ()}
-    has = {
-        "servos": bool(kinds & set(SERVO_KINDS)),
-        "planes": any(each.planes is not None and len(each.planes) for each in scenes),
-        "bounds of reach": any(each.has_reach for each in scenes),
-        "static bodies": any(each.static is not None and each.static.any() for each in scenes),
-        "several actuated bodies": any(each.actuated.sum() > 1 for each in scenes),
-        "bodies that turn": find_turning(dataset) is not None,
-        "masses that differ within a type": masses_vary(dataset),
-    }
-    return " and ".join(name for name, found in has.items() if found)

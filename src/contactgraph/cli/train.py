@@ -28,14 +28,13 @@ class Train:
         str,
         arg(
             metavar="NAME",
-            help="auto (bodies where there are servos, planes, a bounded reach, static, turning or "
-            "several actuated bodies, else filter), filter, bodies, relations, gim-temp, "
-            "gim-non-temp, no-gim, full-ab, the paper's forms (paper-literal and paper-local, each "
-            "also with -non-temp, -no-gim or -full-ab), or module:factory.",
+            help="ours, its ablations (ours-recurrent, ours-memoryless, ours-no-inference, "
+            "ours-full-ab), relations, the paper's forms (paper-literal and paper-local, each also "
+            "with -non-temp, -no-gim or -full-ab), or module:factory.",
         ),
-    ] = AUTO
+    ] = "ours"
     edge_types: Annotated[
-        int | None, arg(metavar="K", help_behavior_hint="(default: 3; for filter and bodies)")
+        int | None, arg(metavar="K", help_behavior_hint="(default: 3; relations: 2)")
     ] = None
     """Types of an edge: 0 free, 1 touch, and all further ones hold. Of 2 types the other holds."""
     graph: Annotated[str, arg(metavar="NAME")] = "full"
@@ -77,9 +76,10 @@ class Train:
     ] = None
     """Share of the steps after which the loss includes the rollout of whole windows."""
     bystanders: int = 1
-    """Resting distractors added to every window, unless no passive body of the data ever rests."""
+    """Resting distractors added to every window of an ablation or a form of the paper, unless no
+    passive body of the data ever rests."""
     prior_weight: float = 0.05
-    """Weight of the KL divergence of beliefs from the distance prior."""
+    """Weight, for these, of the KL divergence of beliefs from the distance prior."""
     use_contacts: bool = False
     """Also correct a filter in training by recorded contacts, with random errors and delays."""
     sensor: Annotated[str, arg(metavar="NAME")] = "exact"
@@ -93,7 +93,6 @@ class Train:
 
         from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
-            FILTERS,
             check_edge_types,
             contact_distance_text,
             held_out_text,
@@ -141,13 +140,17 @@ class Train:
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         if options.steps is None:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
-            quick = options.model in (AUTO, *FILTERS)
+            quick = options.model == "ours"
             options = replace(options, steps=750 if quick else 2000)
         if ":" not in options.model:
-            choice("--model", options.model, {AUTO: None, **PRESETS})
+            choice("--model", options.model, PRESETS)
         check_edge_types(options.model, options.edge_types)
         paper = paper_options(options.model, options.graph, options.sampling, options.temperature)
         check_weight("--prior-weight", options.prior_weight)
+        for name in ("bystanders", "prior_weight") if options.model == "ours" else ():
+            if getattr(options, name) != getattr(Train, name):
+                flag = f"--{name.replace('_', '-')}"
+                raise InvalidInputError(f"{flag}: ours is trained without; see train --help")
         config = TrainConfig(
             **{name: getattr(options, name) for name in _CONFIG},
             rollout_from=0.0 if options.rollout_from is None else options.rollout_from,
@@ -208,7 +211,7 @@ class Train:
         ) -> None:
             result = {
                 "step": int(state.step),
-                "held_out_rmse_m": float(state.best_error),
+                "held_out_rmse_m": chosen.length * float(state.best_error),
                 "training_s": round(seconds, 1),
             }
             if baselines is not None:
@@ -227,17 +230,22 @@ class Train:
                 keep_best(state, spent)
 
             def on_check(check: FitProgress) -> None:
-                check = replace(check, seconds=spent + check.seconds)
+                check = replace(
+                    check,
+                    seconds=spent + check.seconds,
+                    held_out_rmse_m=chosen.length * check.held_out_rmse_m,
+                    baselines=check.baselines.in_lengths(chosen.length),
+                )
                 folder.save(check)
                 keep_best(check.state, check.seconds, check.baselines)
-                best = float(check.state.best_error)
+                best = chosen.length * float(check.state.best_error)
                 bar.advance(check.step, held_out_text(check.held_out_rmse_m, check.baselines, best))
 
             result = fit(state, train, held_out, config, on_check, devices)
-        seconds = spent + result.seconds
+        seconds, baselines = spent + result.seconds, result.baselines.in_lengths(chosen.length)
         sensor = estimate_sensor(result.model, train) if estimates else None
         if math.isfinite(result.held_out_rmse_m):
-            keep_best(result.state, seconds, result.baselines, sensor)
+            keep_best(result.state, seconds, baselines, sensor)
         if result.status is FitStatus.not_finite:
             raise InvalidInputError(f"{self.out}: {result.status.value}")
         if result.status in (FitStatus.dead_units, FitStatus.constant_velocity):
@@ -245,9 +253,9 @@ class Train:
                 f"{self.out}: {result.status.value}; try another --seed, a lower --learning-rate, "
                 f"more data or another --model"
             )
-        error = result.held_out_rmse_m
+        error = chosen.length * result.held_out_rmse_m
         print(
-            f"{folder.model_path}: {held_out_text(error, result.baselines)} over "
+            f"{folder.model_path}: {held_out_text(error, baselines)} over "
             f"{config.window_length} steps; {result.status.value}"
         )
         print(

@@ -32,8 +32,8 @@ from contactgraph.control.routes import FreeMotion
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
-    BodyHead,
     ContactDynamics,
+    ContactLaw,
     InvariantFeatures,
     ModelState,
     Nodes,
@@ -225,7 +225,7 @@ class _Scene(eqx.Module):
         turn = jnp.sum(turn, axis=-1)
         position, goal = (each[:, : self.model.dimension] for each in (position, goal))
         head = getattr(self.model.local_dynamics, "head", None)
-        if nodes.planes is None or not len(nodes.planes) or not isinstance(head, BodyHead):
+        if nodes.planes is None or not len(nodes.planes) or not isinstance(head, ContactLaw):
             return hand, body, position, goal, goal, turn
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
         start = np.arange(count)

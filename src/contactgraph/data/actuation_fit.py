@@ -272,6 +272,8 @@ def fit_slowing(
         straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * before * after
         alone = before > _MOVES * speed.max(initial=0.0)
         alone &= clear & (straight | rests) & ~scene.actuated
+        if scene.anchor is not None:  # a hinged body turns
+            alone &= ~np.isfinite(scene.anchor).all(axis=-1)
         slides = alone & (after < before)
         if scene.gravity is not None and scene.has_weight:
             up = scene.gravity / np.linalg.norm(scene.gravity)

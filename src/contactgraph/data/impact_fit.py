@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from contactgraph.data.actuation_fit import ActuationFit, driving_components
+from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 
 PLANE = "plane"
@@ -20,6 +21,9 @@ _STRAIGHT = 0.1
 _MOSTLY = 0.9
 """Cosine of the angle between the change of velocity and the normal, at least."""
 _LEAST_IMPACTS = 10
+_ALONG, _LEAST_STEPS, _SPREAD = 0.02, 50, 0.2
+"""Relative speed, in units of the greatest, up to which one body carries another; how many steps
+must tell the ratio of masses; and how far the middle half of them may differ."""
 _EXACT = 0.01
 """Error in units of the greatest speed, from which an impact counts less."""
 
@@ -51,11 +55,51 @@ def fit_impacts(
     for each in trajectories:
         for pair, impact in _impacts(each, _pushed(each, actuation)):
             seen.setdefault(pair, []).append(impact)
-    return {
+    impacts = {
         pair: _fitted(np.array(found))
         for pair, found in seen.items()
         if len(found) >= _LEAST_IMPACTS
     }
+    return _carried(trajectories, actuation) | impacts
+
+
+def _carried(
+    trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
+) -> dict[tuple[str, str], Impacts]:
+    """The ratios of masses of types of which one carries the other, by the momentum that the one
+    gives and the other gets; without a bounce."""
+    rows: dict[tuple[str, str], list[np.ndarray]] = {}
+    for each in trajectories:
+        scene, kind = each.scene, each.scene.node_type
+        pushed, unit = _pushed(each, actuation), np.abs(each.velocity).max(initial=0.0)
+        gravity = np.zeros(scene.dimension) if scene.gravity is None else scene.gravity
+        change = np.diff(each.velocity, axis=0)
+        for hand in np.flatnonzero(scene.actuated & np.isfinite(pushed).all(axis=(0, 2))):
+            for body in np.flatnonzero(~scene.actuated & ~_hinged(scene)):
+                apart = np.linalg.norm(each.velocity[:, hand] - each.velocity[:, body], axis=-1)
+                along = np.maximum(apart[1:], apart[:-1]) < _ALONG * unit
+                moves = np.linalg.norm(each.velocity[1:, body], axis=-1) > _MEETS * unit
+                gives = (change - pushed)[:, hand]
+                gets = change[:, body] - scene.dt * gravity
+                ratio = -np.sum(gives * gets, axis=-1) / np.maximum(
+                    np.sum(gives**2, axis=-1), 1e-30
+                )
+                first, second = sorted((hand, body), key=lambda node: kind[node])
+                if first != hand:
+                    ratio = 1.0 / np.where(ratio == 0.0, np.nan, ratio)
+                size = np.linalg.norm(gives, axis=-1)
+                found = np.stack([ratio, size], axis=1)[along & moves]
+                rows.setdefault((kind[first], kind[second]), []).append(found)
+    found = {}
+    for pair, parts in rows.items():
+        ratio, size = np.concatenate(parts).T
+        ratio = ratio[size >= np.median(size)] if len(size) else size
+        if len(ratio) < _LEAST_STEPS:
+            continue
+        low, middle, high = np.quantile(ratio, [0.25, 0.5, 0.75])
+        if high - low < _SPREAD * middle:
+            found[pair] = Impacts(0.0, None, float(middle))
+    return found
 
 
 def _pushed(each: Trajectory, actuation: Mapping[str, ActuationFit]) -> np.ndarray:
@@ -82,9 +126,7 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
     before = (each.velocity[:-1] + 0.5 * pushed) / unit
     after = (each.velocity[1:] - 0.5 * pushed) / unit
     meets = ~(np.linalg.norm(after - before, axis=-1) <= _KINKS)
-    hinged = np.zeros(len(kind), bool)
-    if scene.anchor is not None:
-        hinged = np.isfinite(scene.anchor).all(axis=-1)
+    hinged = _hinged(scene)
     fixed = np.flatnonzero(np.zeros(len(kind), bool) if scene.static is None else scene.static)
     normals = np.zeros((0, scene.dimension)) if scene.planes is None else scene.planes[:, :-1]
     for step in np.flatnonzero(meets.any(axis=1)):
@@ -105,6 +147,13 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
         likely = [each for each in found if each[2][0] > _MEETS and each[2][1] > 0.0]
         if len(likely) == 1:
             yield likely[0][:2], likely[0][2]
+
+
+def _hinged(scene: Scene) -> np.ndarray:
+    """[N] whether each body hangs on a hinge."""
+    if scene.anchor is None:
+        return np.zeros(scene.node_count, bool)
+    return np.asarray(np.isfinite(scene.anchor).all(axis=-1))
 
 
 def _normal(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndarray:

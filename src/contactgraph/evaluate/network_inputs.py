@@ -116,7 +116,7 @@ class NetworkWindows(eqx.Module):
         draw_key, *place_keys = jax.random.split(key, 1 + self.distractors)
         drawn = self.source.draw_indices(count, draw_key)
         windows = self.source.take(drawn)
-        scenes = jax.tree.map(lambda leaf: leaf[self.source.trajectory[drawn]], self.scenes)
+        scenes = jax.tree.map(lambda leaf: leaf[self.source.begins(drawn)[0]], self.scenes)
         for place_key in place_keys:
             windows = add_distractor(windows, self.nearest, _FARTHEST * self.nearest, place_key)
             scenes = jax.vmap(_with_distractor)(scenes, jnp.asarray(windows.nodes.mask)[:, -1])

@@ -1,6 +1,6 @@
 """The model: inference of active contact edges, and local dynamics given them."""
 
-from contactgraph.model.body_head import BodyHead as BodyHead
+from contactgraph.model.actuation import Actuation as Actuation
 from contactgraph.model.body_mass import MassBelief as MassBelief
 from contactgraph.model.body_mass import correct_masses as correct_masses
 from contactgraph.model.body_mass import first_masses as first_masses
@@ -19,6 +19,7 @@ from contactgraph.model.contact_belief import correct as correct
 from contactgraph.model.contact_belief import default_sensor as default_sensor
 from contactgraph.model.contact_belief import two_type_belief as two_type_belief
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
+from contactgraph.model.contact_law import ContactLaw as ContactLaw
 from contactgraph.model.edge_inference import AllEdges as AllEdges
 from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import PriorEdges as PriorEdges
@@ -27,7 +28,6 @@ from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
 from contactgraph.model.features import turn_length_of as turn_length_of
-from contactgraph.model.heads import CoupledHead as CoupledHead
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
 from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff
 from contactgraph.model.interaction_cutoff import interaction_cutoff as interaction_cutoff
@@ -60,13 +60,10 @@ from contactgraph.model.neighbor_list import sum_at_nodes as sum_at_nodes
 from contactgraph.model.paper_presets import PAPER_PRESETS as PAPER_PRESETS
 from contactgraph.model.paper_presets import full_ab as full_ab
 from contactgraph.model.paper_presets import paper_literal as paper_literal
+from contactgraph.model.presets import Inference as Inference
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
-from contactgraph.model.presets import bodies as bodies
-from contactgraph.model.presets import gim_non_temp as gim_non_temp
-from contactgraph.model.presets import gim_temp as gim_temp
-from contactgraph.model.presets import hidden_markov_filter as hidden_markov_filter
-from contactgraph.model.presets import no_gim as no_gim
+from contactgraph.model.presets import ours as ours
 from contactgraph.model.program_store import note_bindings
 from contactgraph.model.relation_model import relations as relations
 from contactgraph.model.rollout import control_sensitivity as control_sensitivity

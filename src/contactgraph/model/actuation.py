@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
-from contactgraph.model.contact_solver import ContactMotion
+from contactgraph.model.free_bodies import ContactMotion
 from contactgraph.model.pins import PinJoints
 from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
 
@@ -122,9 +122,9 @@ class ActuatedMotion(eqx.Module):
             stiffness_rate=undamped * spring / dt**2,
             damping_rate=undamped * damper / dt,
             equilibrium=local.position + theta * dt * local.velocity,
-            equilibrium_velocity=local.velocity + change / (damper + _SMALL),
+            equilibrium_velocity=local.velocity,
             impact_displacement=solution.impact_displacement,
-            acceleration=(response @ constant + solution.acceleration) * undamped,
+            acceleration=(response @ constant + solution.acceleration + change / dt) * undamped,
             unhindered_response=solution.unhindered_response,
             pins=pins,
         )

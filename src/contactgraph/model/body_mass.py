@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.body_head import PACE, BodyHead
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.contact_law import PACE, ContactLaw
 from contactgraph.model.motion_likelihood import (
     both_finite,
     check_motion_model,
@@ -51,10 +51,10 @@ class MassBelief(eqx.Module):
 Masses = TypeVar("Masses", bound=MassBelief | None)
 
 
-def varying_head(model: object) -> BodyHead | None:
+def varying_head(model: object) -> ContactLaw | None:
     """The head of a model in which masses differ within a type, else None."""
     head = getattr(getattr(model, "local_dynamics", None), "head", None)
-    return head if isinstance(head, BodyHead) and head.log_spread is not None else None
+    return head if isinstance(head, ContactLaw) and head.log_spread is not None else None
 
 
 def first_masses(model: object, nodes: Nodes) -> MassBelief | None:
@@ -122,8 +122,8 @@ def correct_masses(
         return motion_given_types(judge, weighed, before, control, types)[1]
 
     count = len(position)
-    of_type = noise.model_share if noise.type_share is None else noise.type_share
-    share = jnp.sum(types[:, 1:] * of_type, axis=-1)
+    # Not the learned ones: an effect wrong in all steps alike would seem to tell a mass exactly.
+    share = noise.model_share * jnp.sum(types[:, 1:], axis=-1)
     incidence = jnp.any(pair_indices(count)[..., None] == jnp.arange(count), axis=1)
     share = jnp.max(incidence * share[:, None], axis=0, initial=0.0)
     base = 2.0 * noise.velocity**2 + noise.model_velocity**2

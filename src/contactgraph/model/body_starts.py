@@ -1,4 +1,4 @@
-"""Numbers of the types of a `BodyHead` that trajectories tell before any training."""
+"""Numbers of the types of a `ContactLaw` that trajectories tell before any training."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.impact_fit import PLANE, Impacts
-from contactgraph.model.body_head import DECELERATION, PACE, BodyHead
+from contactgraph.model.contact_law import DECELERATION, PACE, ContactLaw
 
 _LEAST, _MOST = 1e-3, 0.99
 """Of bounce and friction."""
 
 
 def with_shapes(
-    head: BodyHead,
+    head: ContactLaw,
     plane_distance: Mapping[str, float],
     inertia: Mapping[str, float | Sequence[float]],
     types: Sequence[str],
-) -> BodyHead:
+) -> ContactLaw:
     """With this ``plane_distance`` and ``inertia``, see `ModelConfig`."""
     near = [plane_distance.get(name, 0.5 * head.length) for name in types]
     head = eqx.tree_at(lambda each: each.plane_distance, head, jnp.array(near))
@@ -28,7 +28,7 @@ def with_shapes(
     return eqx.tree_at(lambda each: each.log_inertia, head, jnp.log(jnp.array(known)) / PACE)
 
 
-def with_slowing(head: BodyHead, slowing: Sequence[tuple[float, float]]) -> BodyHead:
+def with_slowing(head: ContactLaw, slowing: Sequence[tuple[float, float]]) -> ContactLaw:
     """With these decelerations, m/s^2, and dampers, 1/s, by the ground, of each type."""
     by_unit = np.array(slowing) / [DECELERATION * head.speed, 1.0]
     raw = _inverse_softplus(np.maximum(by_unit, np.log1p(np.exp(-6.0)))) + 6.0
@@ -37,8 +37,8 @@ def with_slowing(head: BodyHead, slowing: Sequence[tuple[float, float]]) -> Body
 
 
 def with_impacts(
-    head: BodyHead, impacts: Mapping[tuple[str, str], Impacts], types: tuple[str, ...]
-) -> BodyHead:
+    head: ContactLaw, impacts: Mapping[tuple[str, str], Impacts], types: tuple[str, ...]
+) -> ContactLaw:
     """With masses, bounce and friction that fit what pairs of types show, by least squares.
 
     Those of pairs are sums of what each type has, and a type that is not seen has what the others
@@ -55,6 +55,7 @@ def with_impacts(
     }
     start = PACE * np.append(head.log_mass, 0.0)
     log_mass = _fitted(start, _rows(ratios, names, -1.0), ratios.values())[:-1]
+    log_mass = log_mass - log_mass.min()  # Ratios alone are seen: the lightest has the start's.
     return _with(
         head,
         log_mass=log_mass / PACE,
@@ -69,16 +70,16 @@ def told_numbers(
     types: Sequence[str],
     most_damped: float,
 ) -> tuple[str, ...]:
-    """`BodyHead.told`: of ``slowing`` seen of all ``types`` but the last, which is actuated, by
+    """`ContactLaw.told`: of ``slowing`` seen of all ``types`` but the last, which is actuated, by
     dampers below ``most_damped`` [1/s], and of ``impacts`` that all take part in."""
     seen = {name for name, (_, damper) in slowing.items() if damper < most_damped}
-    slides = seen >= set(types[:-1])
+    slides = bool(seen) and seen >= set(types[:-1])
     met = {name for pair in impacts for name in pair}
     rubbed = {name for pair, each in impacts.items() if each.friction is not None for name in pair}
     return (
         *(("deceleration_raw", "damper_raw") if slides else ()),
-        *(("bounce_raw",) if met >= set(types) else ()),
-        *(("friction_raw",) if rubbed >= set(types) else ()),
+        *(("bounce_raw",) if met and met >= set(types) else ()),
+        *(("friction_raw",) if rubbed and rubbed >= set(types) else ()),
     )
 
 
@@ -106,7 +107,7 @@ def _fitted(start: np.ndarray, rows: np.ndarray, values: Iterable[float]) -> np.
     return np.asarray(start + np.linalg.pinv(rows) @ missing)
 
 
-def _with(head: BodyHead, **values: np.ndarray) -> BodyHead:
+def _with(head: ContactLaw, **values: np.ndarray) -> ContactLaw:
     typed = {name: jnp.asarray(each, head.log_mass.dtype) for name, each in values.items()}
     return eqx.tree_at(
         lambda each: [getattr(each, name) for name in typed], head, list(typed.values())

@@ -256,8 +256,6 @@ class ClosestApproachPrior(eqx.Module):
     """$s$."""
     min_probability: float = eqx.field(static=True, default=0.01)
     r"""$\epsilon$."""
-    parting: bool = eqx.field(static=True, default=False)
-    """Whether bodies that part have no touch: see `spread_over_types`."""
 
     def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
         """Prior probability that each edge is active."""

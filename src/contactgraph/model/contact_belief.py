@@ -14,11 +14,6 @@ _UNBOUNDED = 0.1
 _CHANGE = 0.02
 """Probability a step that a contact begins or ends, as far as a late report is concerned."""
 
-_PARTING, _PARTING_SCALE = 0.01, 0.003
-"""Bodies that part by the first, in contact distances a step, do not touch; and its uncertainty."""
-_LEAST_TOUCHING = 0.02
-"""Share of the prior of a touch that bodies that part keep: contact may turn them."""
-
 
 class ContactBelief(eqx.Module):
     """Probability of each edge type.
@@ -198,19 +193,10 @@ def kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E active"]:
     return (kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY))[:, 1:]
 
 
-def spread_over_types(
-    active: Float[Array, " E"], approach: Float[Array, " E"] | None, edge_types: int
-) -> Float[Array, "E K"]:
-    """Probabilities of the types, given that of any active one, which is spread evenly over them.
-
-    Of three and more types the first active one is a touch, which bodies that part do not have;
-    ``approach`` is how much nearer they come in the step, in contact distances; None: not known.
-    """
+def spread_over_types(active: Float[Array, " E"], edge_types: int) -> Float[Array, "E K"]:
+    """Probabilities of the types: that of any active one is spread evenly over the active ones."""
     spread = jnp.repeat(active[:, None] / (edge_types - 1), edge_types - 1, axis=-1)
-    if edge_types > 2 and approach is not None:
-        touching = jax.nn.sigmoid((approach + _PARTING) / _PARTING_SCALE)
-        spread = spread.at[:, 0].multiply(jnp.maximum(touching, _LEAST_TOUCHING))
-    return jnp.concatenate([1.0 - jnp.sum(spread, axis=-1, keepdims=True), spread], axis=-1)
+    return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
 
 def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:

@@ -8,14 +8,12 @@ the active edges), and the linear step. Training encodes all states at once, the
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.turns import coordinate_count
-from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import (
     ClosestApproachPrior,
     DistancePrior,
@@ -31,6 +29,7 @@ from contactgraph.model.contact_belief import (
     spread_over_types,
     without_change,
 )
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
 from contactgraph.model.local_dynamics import (
@@ -181,10 +180,7 @@ class ContactDynamics(eqx.Module):
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
-        approach = None
-        if isinstance(self.prior, ClosestApproachPrior) and self.prior.parting:
-            approach = jax.lax.stop_gradient(geometry.approach / geometry.contact_distance)
-        return spread_over_types(self.prior(geometry) * weight, approach, self.inference.edge_types)
+        return spread_over_types(self.prior(geometry) * weight, self.inference.edge_types)
 
     def _edges(self, position: Array, bound: Float[Array, " N"], mask: Array) -> Edges:
         if self.neighbor_list is None:
@@ -262,9 +258,9 @@ class ContactDynamics(eqx.Module):
         control: Float[Array, " U"],
         nodes: Nodes,
     ) -> Float[Array, " W"]:
-        """What moves bodies: the accelerations of a `BodyHead`, else the control."""
+        """What moves bodies: the accelerations of a `ContactLaw`, else the control."""
         local = self.local_dynamics
-        if not isinstance(local, SpringMassDamperDynamics) or not isinstance(local.head, BodyHead):
+        if isinstance(local, FreeLinearDynamics) or not isinstance(local.head, ContactLaw):
             return control
         step = Step(local.discretization.theta, self.dt, self.control_size)
         given = control, self.features.node_type(nodes, position.dtype), nodes, step

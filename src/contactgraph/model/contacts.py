@@ -16,11 +16,12 @@ from contactgraph.model.block_inverse import (
     to_nodes,
 )
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import ContactMotion, FreeBodies
-from contactgraph.model.ground_friction import (
+from contactgraph.model.free_bodies import (
+    ContactMotion,
+    FreeBodies,
     ground_dampers,
-    length_of,
     sliding_share,
+    speed_of,
     yielding,
     yielding_alone,
 )
@@ -59,7 +60,7 @@ class Contacts(eqx.Module):
     touching: Float[Array, " C"]
     """1 where bodies only touch, 0 where they hold each other."""
     displacing_fraction: Float[Array, " C"]
-    """See `ContactSolver`."""
+    """Share of the step after the impact, less theta: what it displaces beyond its velocity."""
     acting: Float[Array, " C"]
     """Share of the change of velocity that the velocity after the step shows, in [0, 1]; 1 but for
     velocities that are means over the step in which bodies meet."""
@@ -72,13 +73,18 @@ class Contacts(eqx.Module):
     pinned: Float[Array, " C"] | float = 0.0
     """1 for pins, whose ``bounce`` acts along all axes and both ways, else 0."""
 
-    def solve(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
-        """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit.
+    def solve(
+        self, bodies: FreeBodies, dt: float, capacity: int | None, rough: bool = True
+    ) -> ContactMotion:
+        """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit;
+        ``rough``: whether anything bounces, rubs or decelerates; else one solution is enough.
 
         First without friction, which tells the normal impulses that bound it.
         """
+        if not rough:
+            return self._solve_smooth(bodies, dt, capacity)
         mass, count = bodies.mass, len(bodies.mass)
-        smooth = self.geometry.along(1.0 - self.touching)
+        slides = self.geometry.along(1.0 - self.touching)
         normal = self._at_impact(self.geometry.along(self.pinned + 0.0 * self.damper), bodies)
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
         mobility, mobility_across = self._mobility(mass)
@@ -88,9 +94,9 @@ class Contacts(eqx.Module):
         first, rebound, held = _solve_each(
             mass,
             [stiffness, elastic, holding * stiffness],
-            [smooth, normal, whole],
+            [slides, normal, whole],
             [
-                [self._impulse(smooth, count, dt), bodies.push],
+                [self._impulse(slides, count, dt), bodies.push],
                 [_pulled(each, normal, count) for each in rebounds],
                 [bodies.driving],
             ],
@@ -102,22 +108,45 @@ class Contacts(eqx.Module):
         ground = ground_dampers(bodies, change, given, sliding, dt)
         if bodies.pushed:
             # What the ground takes from a body, that which pushes it gives, and more friction.
-            braking = self._impulse(smooth, count, dt) + (ground * bodies.velocity)[..., None]
-            braked = _solve(mass + ground, stiffness, smooth, [braking, bodies.push], capacity)
+            braking = self._impulse(slides, count, dt) + (ground * bodies.velocity)[..., None]
+            braked = _solve(mass + ground, stiffness, slides, [braking, bodies.push], capacity)
             slower = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
             given = yielding(bodies, ground, change, slower)
             ground, change = ground_dampers(bodies, change, given, sliding, dt), slower
         across = self._friction(bodies, change, mobility_across, dt)
-        rough = self.geometry.along(jnp.maximum(across, holding))
-        slowing = self._impulse(rough, count, dt) + (ground * bodies.velocity)[..., None]
-        displacing = -self._left(self.until_impact, bodies.push, rough, mass)
-        displacing += _pulled(self.displacing_fraction * self.damper, rough, count)
+        rubbing = self.geometry.along(jnp.maximum(across, holding))
+        slowing = self._impulse(rubbing, count, dt) + (ground * bodies.velocity)[..., None]
+        displacing = -self._left(self.until_impact, bodies.push, rubbing, mass)
+        displacing += _pulled(self.displacing_fraction * self.damper, rubbing, count)
         driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
-        driven += self._left(1.0 - self.acting, driven, rough, mass)
-        solved = _solve(mass + ground, stiffness, rough, [slowing, displacing, driven], capacity)
+        driven += self._left(1.0 - self.acting, driven, rubbing, mass)
+        solved = _solve(mass + ground, stiffness, rubbing, [slowing, displacing, driven], capacity)
         return ContactMotion(
             velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
             impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
+            acceleration=solved.parts[2][..., 0],
+            response=solved.parts[2][..., 1:],
+            unhindered_response=held.parts[0],
+            own_share=solved.diagonal * mass,
+            ground_share=solved.diagonal * ground,
+        )
+
+    def _solve_smooth(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
+        """`solve` where nothing bounces, rubs or is slowed but by dampers: at once."""
+        mass, count = bodies.mass, len(bodies.mass)
+        sliding, stiffness = self.geometry.along(1.0 - self.touching), self.damper + self.spring
+        ground = bodies.ground_damper[:, None] * mass
+        slowing = self._impulse(sliding, count, dt) + (ground * bodies.velocity)[..., None]
+        displacing = -self._left(self.until_impact, bodies.push, sliding, mass)
+        displacing += _pulled(self.displacing_fraction * self.damper, sliding, count)
+        driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
+        driven += self._left(1.0 - self.acting, driven, sliding, mass)
+        solved = _solve(mass + ground, stiffness, sliding, [slowing, displacing, driven], capacity)
+        holding = (1.0 - self.touching) * stiffness
+        held = _solve(mass, holding, sliding, [bodies.driving], capacity)
+        return ContactMotion(
+            velocity_change=-solved.parts[0][..., 0],
+            impact_displacement=-dt * jnp.sum(solved.parts[1], axis=-1),
             acceleration=solved.parts[2][..., 0],
             response=solved.parts[2][..., 1:],
             unhindered_response=held.parts[0],
@@ -232,7 +261,7 @@ class Contacts(eqx.Module):
         )
         relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
-        across = length_of(relative - approach[:, None] * self.geometry.normal)
+        across = speed_of(relative - approach[:, None] * self.geometry.normal, bodies.speed)
         pushed = -(damper + self.spring) * approach - self.spring * self._gap / dt
         normal_impulse = (1.0 + self.bounce) * jnp.maximum(pushed, 0.0)
         bound = self.friction * self.touching * normal_impulse

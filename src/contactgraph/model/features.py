@@ -25,7 +25,7 @@ _STILL = 0.02
 class InvariantFeatures(eqx.Module):
     """Features that no rotation, reflection or translation of the scene changes.
 
-    Node: its type (actuated or not, hinged or not where there are hinges) and its speed. Edge: the
+    Node: its type and its speed. Edge: the
     bounded gaps between the two bodies, now and at closest approach in the step; the distance; the
     fraction of the step after an impact. Relative speeds are left out, because predicted distances
     carry what matters of them, so that a speed absent from training is nothing new. The contact
@@ -40,7 +40,6 @@ class InvariantFeatures(eqx.Module):
     None: types have no names."""
     length: float = eqx.field(static=True)
     speed: float = eqx.field(static=True)
-    hinges: bool = eqx.field(static=True)
     learned: bool = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
     boxes: bool = eqx.field(static=True)
@@ -52,7 +51,6 @@ class InvariantFeatures(eqx.Module):
         self,
         length: float = 0.1,
         speed: float = 1.0,
-        hinges: bool = False,
         learned: bool = True,
         types: tuple[str, ...] = (),
         boxes: bool = False,
@@ -60,11 +58,11 @@ class InvariantFeatures(eqx.Module):
         turn_length: float | None = None,
         margin: float = 0.0,
     ):
-        """`hinges`: whether nodes may be hinged; `learned`: whether the contact distance is.
+        """`learned`: whether the contact distance is.
 
         It is identified by impacts within one step, not by a grasp that takes several steps.
         `types`: names of the node types, passive ones first, actuated ones last; without names,
-        bodies are of one size, and their types are whether they are actuated and hinged.
+        bodies are of one size, and their types are whether they are actuated.
         `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
         `turning`: the types of bodies that turn; `turn_length` [m]: see `generalized_coordinates`,
         None where none does. `margin`: gap at which two outlines touch, m.
@@ -73,7 +71,6 @@ class InvariantFeatures(eqx.Module):
         self.contact_distance = length * jnp.ones(()) if learned else length
         self.length = length
         self.speed = speed
-        self.hinges = hinges
         self.learned = learned
         self.types = types
         self.boxes = boxes
@@ -85,15 +82,15 @@ class InvariantFeatures(eqx.Module):
     @property
     def node_types(self) -> int:
         """Number of node types."""
-        return len(self.types) or (4 if self.hinges else 2)
+        return len(self.types) or 2
 
     def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
-        """One-hot, by name; without names: actuated or not, times hinged or not, where any is.
+        """One-hot, by name; without names: actuated or not.
 
         Nodes whose types are not told have the first, actuated ones the last.
         """
         if not self.types:
-            return _node_type(nodes, self.hinges, dtype)
+            return _node_type(nodes, False, dtype)
         if nodes.type_id is None:
             index = jnp.where(nodes.actuated, len(self.types) - 1, 0)
             return jax.nn.one_hot(index, len(self.types), dtype=dtype)
@@ -139,7 +136,7 @@ class InvariantFeatures(eqx.Module):
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> Float[Array, "N F"]:
         """Features of every node."""
-        speed = jnp.sqrt(jnp.sum(velocity**2, axis=-1) + 1e-12) / self.speed
+        speed = jnp.sqrt(jnp.sum((velocity / self.speed) ** 2, axis=-1) + 1e-12)
         bounded = (speed / (1.0 + speed))[:, None]
         return jnp.concatenate([self.node_type(nodes, speed.dtype), bounded], axis=-1)
 

@@ -19,7 +19,7 @@ from contactgraph.data import (
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import turn_length_of
+from contactgraph.model.features import AbsoluteFeatures, turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.motion_noise import Motion
@@ -63,12 +63,13 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         raise InvalidInputError(
             f"the model is for bodies that turn, but {other} has no polygons, their outlines"
         )
-    if model.features.hinges and not scene.has_hinges:
+    hinged = isinstance(model.features, AbsoluteFeatures) and model.features.hinges
+    if hinged and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
             "each hinge"
         )
-    if scene.has_hinges and not model.features.hinges:
+    if scene.has_hinges and isinstance(model.features, AbsoluteFeatures) and not hinged:
         raise InvalidInputError(
             f"the model has no hinges, but {other} has an anchor; train a model on such data"
         )

@@ -4,13 +4,10 @@ import dataclasses
 
 from contactgraph.model.collision import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import AllEdges, PriorEdges
-from contactgraph.model.heads import CoupledHead
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.message_passing import EdgeNetwork
-
-_FREE_RESPONSE = 1e-3
-"""1/kg; a control of 10 N then moves a passive node by 5 mm in a second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,8 +29,7 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
 
     There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
     nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
-    with its free equilibria), or where the model has not learned that controls do not act on
-    passive nodes.
+    with its free equilibria), or where pins join far ones.
     """
     if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
         return None
@@ -46,7 +42,6 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     if not all(isinstance(network, EdgeNetwork) for network in networks):
         return None
     head = dynamics.head
-    # The first node type is neither actuated nor hinged.
-    if not isinstance(head, CoupledHead) or not head.free_response[0] <= _FREE_RESPONSE:
+    if not isinstance(head, ContactLaw) or head.turn_length is not None:  # pins join far bodies
         return None
     return InteractionCutoff(model.cutoff.outer, model.dt)

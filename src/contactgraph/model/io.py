@@ -5,6 +5,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -23,13 +24,10 @@ from contactgraph.model.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab
 from contactgraph.model.presets import (
+    Inference,
     ModelConfig,
     Preset,
-    bodies,
-    gim_non_temp,
-    gim_temp,
-    hidden_markov_filter,
-    no_gim,
+    ours,
 )
 from contactgraph.model.relation_model import relations
 from contactgraph.model.serialization import module_arrays, with_arrays
@@ -45,13 +43,12 @@ _FIELDS: dict[str, Any] = {
     **{"training": dict, "checksum": str},
 }
 PRESETS: dict[str, Preset] = {
-    "filter": hidden_markov_filter,
-    "bodies": bodies,
+    "ours": ours,
+    "ours-recurrent": partial(ours, inference=Inference.RECURRENT),
+    "ours-memoryless": partial(ours, inference=Inference.MEMORYLESS),
+    "ours-no-inference": partial(ours, inference=Inference.NONE),
+    "ours-full-ab": full_ab,
     "relations": relations,
-    "gim-temp": gim_temp,
-    "gim-non-temp": gim_non_temp,
-    "no-gim": no_gim,
-    "full-ab": full_ab,
     **PAPER_PRESETS,
 }
 """By the names in files and commands."""

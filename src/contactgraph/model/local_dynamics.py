@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.body_head import BodyHead
 from contactgraph.model.collision import Geometry, geometry
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import CoupledHead, PerDegreeHead
+from contactgraph.model.heads import PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
@@ -38,7 +38,7 @@ def step_geometry(
     static = nodes.static if features.types else None  # not known without types
     known = control_displacement, nodes.anchor, static, features.speed, nodes.half_size
     head, coasting = getattr(dynamics, "head", None), None
-    if isinstance(head, BodyHead):
+    if isinstance(head, ContactLaw):
         types = features.node_type(nodes, velocity.dtype)
         turns = features.turns(nodes, velocity.dtype)
         coasting = head.coasting(position, velocity, types, nodes, turns, dt)
@@ -144,7 +144,7 @@ class SpringMassDamperDynamics(eqx.Module):
     """Messages over the active edges, then a spring-mass-damper for every node, then one step."""
 
     message_passing: TypedMessagePassing
-    head: BodyHead | CoupledHead | PerDegreeHead
+    head: ContactLaw | PerDegreeHead
     discretization: ThetaMethod
 
     def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:

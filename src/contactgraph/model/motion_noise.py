@@ -192,27 +192,21 @@ class PredictionNoise(eqx.Module):
     log_velocity: Float[Array, ""]
     """The same of the scale in m/s."""
 
-    log_drift: Float[Array, ""] | None
-    """The same of the error of a velocity, in units of the speed before. None: it is not learned,
-    but shares are: their steps would fit better and better, and all others drop out."""
+    log_drift: Float[Array, ""]
+    """The same of the error of a velocity, in units of the speed before."""
 
     log_share: Float[Array, " active"]
     """The same of the error of each active type's effect, in units of the effect."""
 
     edge_types: int = eqx.field(static=True)
     length: float = eqx.field(static=True)
-    drifts: bool = eqx.field(static=True)
 
-    def __init__(self, edge_types: int, length: float = 0.1, drifts: bool = False) -> None:
-        """``length`` [m] is the unit of the least scales: about the distance of a contact.
-
-        ``drifts``: whether errors may grow with the speed, and the shares stay as they are.
-        """
+    def __init__(self, edge_types: int, length: float = 0.1) -> None:
+        """``length`` [m] is the unit of the least scales: about the distance of a contact."""
         start = MotionNoise()
         self.edge_types, self.length = edge_types, length
         self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(edge_types - 1)
-        self.drifts = drifts
-        self.log_drift = jnp.log(_DRIFT) / _PACE * jnp.ones(()) if drifts else None
+        self.log_drift = jnp.log(_DRIFT) / _PACE * jnp.ones(())
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
 
@@ -229,13 +223,12 @@ class PredictionNoise(eqx.Module):
     @property
     def share(self) -> Float[Array, " active"]:
         """Of the effect of each active type."""
-        share = jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
-        return jax.lax.stop_gradient(share) if self.drifts else share
+        return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
 
     @property
-    def drift(self) -> Float[Array, ""] | float:
+    def drift(self) -> Float[Array, ""]:
         """Of a velocity, in units of the speed before."""
-        return 0.0 if self.log_drift is None else jnp.exp(_PACE * self.log_drift)
+        return jnp.exp(_PACE * self.log_drift)
 
     def score(
         self,
@@ -268,7 +261,6 @@ def in_lengths(noise: PredictionNoise, length: float, like: PredictionNoise) -> 
         lambda each: (each.log_position, each.log_velocity, each.log_drift, each.log_share),
         like,
         (noise.log_position + shift, noise.log_velocity + shift, noise.log_drift, noise.log_share),
-        is_leaf=lambda leaf: leaf is None,
     )
 
 

@@ -94,7 +94,7 @@ PAPER_PRESETS: dict[str, Preset] = {
 
 
 def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """Recurrent edges with a cutoff, as in `gim_temp`, but free matrices of absolute positions."""
+    """Recurrent edges with a cutoff, as of `ours`, but free matrices of absolute positions."""
     config = dataclasses.replace(config, width=config.width or 32)
     model = paper_form(config, key=key, local=False, compared=Compared.FULL_AB)
     return dataclasses.replace(model, prior=ClosestApproachPrior(), cutoff=default_cutoff(config))

@@ -87,7 +87,7 @@ def plane_contacts(
     """Touches of a `plane_geometry`, with the ``laws`` of bounce and friction.
 
     They act where a node approaches by more than about ``softness`` [m]; ``averaged``: see
-    `BodyHead`.
+    `ContactLaw`.
     """
     closing = meets_plane(geometry) * jax.nn.sigmoid(geometry.approach / softness)
     nothing = jnp.zeros_like(closing)

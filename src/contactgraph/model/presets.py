@@ -1,4 +1,4 @@
-"""The paper's models as compositions of the same parts.
+"""This package's model, *ours*, as a composition of parts, and its ablations.
 
 A preset is a function of a `ModelConfig` and a random key that returns a `ContactDynamics` with
 fresh weights; any such function can be trained in the place of these.
@@ -8,9 +8,9 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol
 
-import equinox as eqx
 import jax
 from jaxtyping import PRNGKeyArray
 
@@ -18,11 +18,11 @@ from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
-from contactgraph.model.body_head import BodyHead
 from contactgraph.model.body_starts import told_numbers, with_impacts, with_shapes, with_slowing
 from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import (
     AllEdges,
     EdgeInference,
@@ -32,7 +32,6 @@ from contactgraph.model.edge_inference import (
     TransitionEdges,
 )
 from contactgraph.model.features import InvariantFeatures
-from contactgraph.model.heads import CoupledHead, GroundSupport
 from contactgraph.model.local_dynamics import (
     SpringMassDamperDynamics,
     ThetaMethod,
@@ -62,16 +61,10 @@ class ModelConfig:
     """About the distance, centre to centre, at which bodies touch (the paper's d_th), m."""
     width: int | None = None
     """Of the networks. None: the preset's own, 64 for the paper's literal models, else 32."""
-    hinges: bool = False
-    """Whether bodies may be hinged."""
-    weight: bool = False
-    """Whether bodies have weight and rest on the ground until lifted; see `GroundSupport`."""
     learned_contact_distance: bool = True
     """Whether `contact_distance` is only the start of a learned one."""
-    control_gain: float = 1.0
-    """Start of the learned acceleration of actuated nodes, m/s^2 a unit; 1: a force on 1 kg."""
     node_types: tuple[str, ...] = ()
-    """Names of node types, passive ones first; only for `bodies`, as what follows. Empty: none."""
+    """Names of node types, passive ones first. Empty: passive and actuated ones."""
     actuation: Mapping[str, ActuationFit] = field(default_factory=dict)
     """How the control drives each actuated type at the start of training, by name."""
     driving_size: int | None = None
@@ -102,11 +95,17 @@ class ModelConfig:
     """Start of the learned implicitness: see `ThetaMethod`."""
     varying_mass: bool = False
     """Whether masses differ within a type."""
+    rough: bool = False
+    """Whether touches bounce or rub, or bodies rub on the ground; else only dampers slow bodies."""
+    friction: float = 1.0
+    """Start of the coefficient of friction between bodies. Without any, only holds would explain
+    that bodies go along with each other."""
     identified: bool = False
     """Whether bodies touch where their outlines tell, and `identify_laws` finds all else."""
+    hinges: bool = False
+    """Whether bodies may be hinged; only for the paper's forms, as what follows."""
     star: bool = False
-    """Whether edges join actuated nodes with others alone; only for the paper's forms, as what
-    follows."""
+    """Whether edges join actuated nodes with others alone."""
     temperature: float = 0.15
     """See `RecurrentEdges`."""
     gumbel: bool = False
@@ -128,7 +127,7 @@ class ModelConfig:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """See `BodyHead.told`; means over a step do not tell what stops a body within one."""
+        """See `ContactLaw.told`; means over a step do not tell what stops a body within one."""
         most_damped = 1.0 / self.dt if self.averaged else math.inf
         return told_numbers(self.slowing, self.impacts, self.node_types, most_damped)
 
@@ -140,81 +139,82 @@ class Preset(Protocol):
         """The model for this configuration."""
 
 
-def gim_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """Recurrent edges with a cutoff, coupled bodies solved as groups, invariant features."""
+class Inference(StrEnum):
+    """Which edges are active, and by what; all but the filter are ablations, and have two types."""
+
+    FILTER = "filter"
+    """A hidden Markov filter: see `TransitionEdges`."""
+    RECURRENT = "recurrent"
+    """The paper's recurrent cell."""
+    MEMORYLESS = "memoryless"
+    NONE = "none"
+    """Every edge is active at every step, at any distance."""
+
+
+def ours(
+    config: ModelConfig, *, key: PRNGKeyArray, inference: Inference = Inference.FILTER
+) -> ContactDynamics:
+    """Inferred edges with a cutoff, and bodies of types whose contacts are solved together."""
+    model_key, messages_key, rates_key = jax.random.split(key, 3)
     distance, width = config.contact_distance, config.width or 32
+    filtered = inference is Inference.FILTER
+    config = config if filtered else dataclasses.replace(config, edge_types=2)
     features = InvariantFeatures(
-        distance, hinges=config.hinges, learned=config.learned_contact_distance
-    )
-    edge_size = features.edge_size(config.dimension)
-    inference_key, cell_key, dynamics_key = jax.random.split(key, 3)
-    message_key, head_key = jax.random.split(dynamics_key)
-    # Messages depend on their own edge alone; the head solves for the effect of all together.
-    messages = EdgeNetwork(edge_size, width, key=message_key)
-    support = GroundSupport(features.node_types, config.dimension) if config.weight else None
-    return ContactDynamics(
-        inference=RecurrentEdges(EdgeNetwork(edge_size, width, key=inference_key), key=cell_key),
-        local_dynamics=SpringMassDamperDynamics(
-            message_passing=TypedMessagePassing([messages]),
-            head=CoupledHead(
-                width, features.node_types, length=distance, support=support, key=head_key
-            ).with_gain(config.control_gain),
-            discretization=ThetaMethod(),
-        ),
-        features=features,
-        prior=ClosestApproachPrior(),
-        cutoff=default_cutoff(config),
-        sample=ArgmaxSample(),
-        dt=config.dt,
-        dimension=config.dimension,
-        control_size=config.control_size,
-    )
-
-
-def hidden_markov_filter(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """As `gim_temp`, but the belief is a hidden Markov filter: see `TransitionEdges`."""
-    model_key, messages_key, rates_key = jax.random.split(key, 3)
-    model = gim_temp(config, key=model_key)
-    size, dynamics = model.features.edge_size(config.dimension), model.local_dynamics
-    commands = max(0, config.control_size - config.dimension)
-    sizes = size, model.features.node_types, commands
-    inference = _transitions(config, *sizes, messages_key, rates_key)
-    types = list(dynamics.message_passing.types)  # the first type that holds
-    for index in range(1, config.edge_types - 1):
-        fresh = EdgeNetwork(size, config.width or 32, key=jax.random.fold_in(key, index))
-        types = [fresh, *types] if index == 1 else [*types, fresh]
-    typed = TypedMessagePassing(types)
-    dynamics = eqx.tree_at(lambda each: each.message_passing, dynamics, typed)
-    return dataclasses.replace(
-        model,
-        inference=inference,
-        local_dynamics=dynamics,
-        prediction_noise=PredictionNoise(inference.edge_types, config.contact_distance),
-    )
-
-
-def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """As `hidden_markov_filter`, but with bodies as they are: see `BodyHead`."""
-    model_key, messages_key, rates_key = jax.random.split(key, 3)
-    model, width = gim_temp(config, key=model_key), config.width or 32
-    features = InvariantFeatures(
-        config.contact_distance,
+        distance,
         config.speed,
-        hinges=config.hinges,
         learned=config.learned_contact_distance,
-        types=config.node_types or ("object", "actuated"),
+        types=config.node_types,
         boxes=config.boxes,
         turning=tuple(config.inertia),
         turn_length=config.turn_length,
         margin=config.margin,
     )
+    size = features.edge_size(config.dimension)
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
+    noise: PredictionNoise | None = None
+    edges: EdgeInference = AllEdges()
+    if filtered and config.identified:  # Nothing holds another, and outlines tell where they touch.
+        edges = PriorEdges(config.edge_types)
+    elif filtered:
+        sizes = size, features.node_types, config.control_size - driving
+        edges = _transitions(config, *sizes, messages_key, rates_key)
+        noise = PredictionNoise(config.edge_types, distance)
+    elif inference is not Inference.NONE:
+        messages = EdgeNetwork(size, width, key=messages_key)
+        cell = RecurrentEdges if inference is Inference.RECURRENT else MemorylessEdges
+        edges = cell(messages, key=rates_key)
+    keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
+    types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
+    learned = not config.averaged
+    return ContactDynamics(
+        inference=edges,
+        local_dynamics=SpringMassDamperDynamics(
+            TypedMessagePassing(types),
+            _law(config, features, width, driving, jax.random.fold_in(model_key, 1)),
+            ThetaMethod(config.theta if learned else 1.0, learned),
+        ),
+        features=features,
+        prior=ClosestApproachPrior(),
+        cutoff=NoCutoff() if inference is Inference.NONE else default_cutoff(config),
+        sample=ArgmaxSample(),
+        dt=config.dt,
+        dimension=config.dimension,
+        control_size=config.control_size,
+        prediction_noise=noise,
+        substeps=config.substeps,
+    )
+
+
+def _law(
+    config: ModelConfig, features: InvariantFeatures, width: int, driving: int, key: PRNGKeyArray
+) -> ContactLaw:
+    types = config.node_types or ("object", "actuated")
     with jax.ensure_compile_time_eval():  # starts are numbers, also where shapes alone are asked
-        drives = Actuation.from_fits(features.types, config.dimension, driving, config.actuation)
-    head = BodyHead(
+        drives = Actuation.from_fits(types, config.dimension, driving, config.actuation)
+    head = ContactLaw(
         width,
-        features.node_types,
+        len(types),
         length=config.contact_distance,
         actuation=drives,
         slots=config.actuated_nodes,
@@ -223,48 +223,14 @@ def bodies(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
         turn_length=config.turn_length,
         varying_mass=config.varying_mass,
         identified=config.identified,
+        rough=config.rough,
+        friction=config.friction,
         told=config.told,
-        key=jax.random.fold_in(model_key, 1),
+        key=key,
     )
-    head = with_shapes(head, config.plane_distance, config.inertia, features.types)
-    head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in features.types])
-    head = with_impacts(head, config.impacts, features.types)
-    size = features.edge_size(config.dimension)
-    sizes = size, features.node_types, config.control_size - driving
-    inference: EdgeInference = _transitions(config, *sizes, messages_key, rates_key)
-    noise: PredictionNoise | None = PredictionNoise(
-        config.edge_types, config.contact_distance, drifts=True
-    )
-    if config.identified:  # Nothing holds another, and outlines tell where they touch.
-        inference, noise = PriorEdges(config.edge_types), None
-    keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
-    types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
-    learned = not config.averaged
-    discretization = ThetaMethod(config.theta if learned else 1.0, learned)
-    return dataclasses.replace(
-        model,
-        inference=inference,
-        local_dynamics=SpringMassDamperDynamics(TypedMessagePassing(types), head, discretization),
-        features=features,
-        prior=ClosestApproachPrior(parting=True),
-        prediction_noise=noise,
-        substeps=config.substeps,
-    )
-
-
-def gim_non_temp(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """As `gim_temp`, but with edges without memory."""
-    model_key, messages_key, output_key = jax.random.split(key, 3)
-    model = gim_temp(config, key=model_key)
-    edge_size = model.features.edge_size(config.dimension)
-    messages = EdgeNetwork(edge_size, config.width or 32, key=messages_key)
-    return dataclasses.replace(model, inference=MemorylessEdges(messages, key=output_key))
-
-
-def no_gim(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
-    """As `gim_temp`, but every edge is active at every step, at any distance."""
-    model = gim_temp(config, key=key)
-    return dataclasses.replace(model, inference=AllEdges(), cutoff=NoCutoff())
+    head = with_shapes(head, config.plane_distance, config.inertia, types)
+    head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in types])
+    return with_impacts(head, config.impacts, types)
 
 
 def _transitions(

@@ -148,7 +148,7 @@ def relations(config: ModelConfig, *, key: PRNGKeyArray) -> RelationModel:
     return RelationModel(
         inference=StaticEdges(len(types), config.edge_types),
         local_dynamics=RelationDynamics(length, len(types), config.edge_types, width, key=key),
-        features=InvariantFeatures(length, hinges=config.hinges, learned=False, types=types),
+        features=InvariantFeatures(length, learned=False, types=types),
         prior=DistancePrior(0.0, _EVERYWHERE, _EVERYWHERE),
         cutoff=NoCutoff(),
         sample=ExpectedTypes(),

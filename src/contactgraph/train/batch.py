@@ -61,14 +61,13 @@ class Window(eqx.Module):
 
 
 class WindowSource(eqx.Module):
-    """Padded trajectories on the device, and the probability of each of ``W`` windows."""
+    """Padded trajectories on the device, and the probability of the window from each state on."""
 
     trajectories: TrajectoryBatch[Array]
-    trajectory: Int[Array, " W"]
-    start: Int[Array, " W"]
-    """First state of the window."""
+    weight: Float[Array, "B T"]
+    """Probability of the window that begins there; 0 where none does."""
     cumulative: Float[Array, " W"]
-    """Sum of the probabilities up to this window's."""
+    """Sum of all probabilities up to each window's, trajectory after trajectory."""
     length: int = eqx.field(static=True)
     """L, steps in a window."""
     reports_touch: bool = eqx.field(static=True, default=True)
@@ -83,17 +82,16 @@ class WindowSource(eqx.Module):
         """Which windows `draw` takes with this key."""
         uniform = jax.random.uniform(key, (count,))
         drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
-        return jnp.minimum(drawn, self.trajectory.shape[0] - 1)
+        return jnp.minimum(drawn, self.cumulative.shape[0] - 1)
 
-    def draw_trajectories(
-        self, count: int, key: PRNGKeyArray
-    ) -> tuple[Window, Bool[Array, "B T"], Float[Array, "B T+1 E"] | None]:
-        """`count` whole trajectories, all equally likely, and which of their steps are real.
+    def draw_trajectories(self, count: int, key: PRNGKeyArray) -> "WholeTrajectories":
+        """`count` whole trajectories, all equally likely."""
+        index = jax.random.randint(key, (count,), 0, self.trajectories.steps.shape[0])
+        return self.whole(index)
 
-        The third are their contacts where training uses them, else None.
-        """
+    def whole(self, index: Int[Array, " B"]) -> "WholeTrajectories":
+        """These trajectories."""
         every = self.trajectories
-        index = jax.random.randint(key, (count,), 0, every.steps.shape[0])
         window = Window(
             position=every.position[index],
             velocity=every.velocity[index],
@@ -101,11 +99,16 @@ class WindowSource(eqx.Module):
             nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
         )
         contact = None if every.contact is None else every.contact[index]
-        return window, jnp.arange(every.control.shape[1]) < every.steps[index, None], contact
+        real = jnp.arange(every.control.shape[1]) < every.steps[index, None]
+        return WholeTrajectories(window, real, self.weight[index], contact)
+
+    def begins(self, window: Int[Array, " B"]) -> tuple[Int[Array, " B"], Int[Array, " B"]]:
+        """The trajectory, and the first state, of the windows of these indices."""
+        return jnp.divmod(window, self.weight.shape[1])
 
     def take(self, window: Int[Array, " B"]) -> Window:
         """The windows of these indices."""
-        index, start = self.trajectory[window], self.start[window]
+        index, start = self.begins(window)
         states = start[:, None] + jnp.arange(self.length + 1)
         every = self.trajectories
         return Window(
@@ -116,6 +119,18 @@ class WindowSource(eqx.Module):
         )
 
 
+class WholeTrajectories(eqx.Module):
+    """Some trajectories from their first to their last state, on the device."""
+
+    states: Window
+    real: Bool[Array, "B T"]
+    """Whether a step is one, and no padding."""
+    weight: Float[Array, "B T"]
+    """`WindowSource.weight`"""
+    contact: Float[Array, "B T+1 E"] | None
+    """Recorded contacts where training uses them."""
+
+
 def window_source(
     batch: TrajectoryBatch[np.ndarray],
     windows: Windows,
@@ -123,26 +138,22 @@ def window_source(
 ) -> WindowSource:
     """Put trajectories and windows on the device, without contact labels unless ``contacts``.
 
-    The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, and the windows as if
-    every trajectory were the longest, so that another number of trajectories recompiles nothing.
-    Padding repeats real entries and has no probability.
+    The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, so that another number of
+    trajectories recompiles nothing. Padding repeats real entries and has no probability.
     """
     count, steps = batch.control.shape[:2]
     capacity = count + -count % _BATCH_MULTIPLE
-    most = capacity * (steps - windows.length + 1)
 
     def repeated(leaf: np.ndarray) -> Array:
         dtype = jnp.float32 if np.issubdtype(leaf.dtype, np.floating) else None
         return jnp.asarray(np.take(leaf, np.arange(capacity) % count, axis=0), dtype)
 
-    drawn = np.arange(most) % len(windows.trajectory)
-    cumulative = np.ones(most)
-    probability = windows.probability
-    cumulative[: len(probability)] = probability.cumsum() / probability.sum()
+    weight = np.zeros((capacity, steps))
+    weight[windows.trajectory, windows.start] = windows.probability
+    cumulative = weight.ravel().cumsum() / windows.probability.sum()
     return WindowSource(
         trajectories=jax.tree.map(repeated, batch if contacts else batch._replace(contact=None)),
-        trajectory=jnp.asarray(windows.trajectory[drawn]),
-        start=jnp.asarray(windows.start[drawn]),
+        weight=jnp.asarray(weight, jnp.float32),
         cumulative=jnp.asarray(cumulative, jnp.float32),
         length=windows.length,
     )

@@ -96,11 +96,13 @@ _FARTHER = 0.9
 _SAME = 0.01
 """Spread of these distances from which training learns the distance: impacts would lead away."""
 _KEY = "contact_distance"
+_BOUNCES, _SLIDES = 0.02, 1e-3
+"""Bounce, and deceleration by the ground in m/s^2, up to which there is none."""
 
 
 @dataclass(frozen=True)
 class BodyDefaults:
-    """Arguments of the preset `bodies` that follow from the data: see `ModelConfig`."""
+    """Arguments of the preset `ours` that follow from the data: see `ModelConfig`."""
 
     contact_distance: float
     """m; from the scenes' metadata, or about the distance at which bodies begin to move."""
@@ -121,6 +123,8 @@ class BodyDefaults:
     slowing: dict[str, tuple[float, float]]
     impacts: dict[tuple[str, str], Impacts]
     varying_mass: bool
+    rough: bool
+    friction: float
     identified: bool
 
 
@@ -134,14 +138,9 @@ class DataDefaults:
     """Whether the contact distance is learned. False where the metadata give it: such a scene may
     have fingers, which close on command at any distance."""
     hinges: bool
-    weight: bool
     rollout_from: float
     """0 where bodies have weight, because only several steps distinguish the mass of a lifted body
     from a spring that holds it; else 0.5, which is faster."""
-    control_gain: float
-    """See `ModelConfig.control_gain`. By least squares where the control is a displacement or a
-    velocity: an arm that follows centimetres within a step has a gain of some hundreds, and
-    training would take a thousand steps to get there. Else 1."""
 
 
 def defaults_from_data(dataset: Dataset) -> DataDefaults:
@@ -159,9 +158,7 @@ def defaults_from_data(dataset: Dataset) -> DataDefaults:
         contact_distance=CONTACT_DISTANCE if distance is None else float(distance),
         learned_contact_distance=distance is None,
         hinges=any(each.scene.has_hinges for each in dataset),
-        weight=weight,
         rollout_from=0.0 if weight else 0.5,
-        control_gain=_control_gain(dataset),
     )
 
 
@@ -196,6 +193,12 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
     substeps = 1 if turning is None or averaged else turning.substeps
     slowing = fit_slowing(dataset, distance, apart)
     borne = frozenset[str]() if turning is None else turning.borne
+    impacts = {} if averaged or turning is not None else fit_impacts(dataset, actuation)
+    planes = any(each.scene.planes is not None and len(each.scene.planes) for each in dataset)
+    slides = any(constant > _SLIDES for constant, _ in slowing.values())
+    bounces = any(each.bounce > _BOUNCES for each in impacts.values())
+    unknown = averaged or turning is not None or planes
+    rubs = unknown or any(each.friction is not None for each in impacts.values())
     return BodyDefaults(
         contact_distance=distance,
         # Outlines tell it; of bodies at rest nothing else does.
@@ -216,8 +219,10 @@ def body_defaults(dataset: Dataset) -> BodyDefaults:
         slowing={name: found for name, found in slowing.items() if name not in borne},
         # Of means over a step nothing tells the velocities before and after; and those of bodies
         # that turn, nothing but the whole step.
-        impacts={} if averaged or turning is not None else fit_impacts(dataset, actuation),
+        impacts=impacts,
         varying_mass=masses_vary(dataset),
+        rough=rubs or slides or bounces,
+        friction=1.0 if rubs else 0.0,
         identified=turning is not None and turning.undriven and bool(outlined),
     )
 
@@ -266,28 +271,3 @@ def _contact_distance(dataset: Dataset, distances: Callable[[Trajectory], np.nda
         spread = spread / float(np.median(found))
     distance = float(np.quantile(found, share)) if len(found) else 0.0
     return _Touching(distance if distance > 0.0 else CONTACT_DISTANCE, spread)
-
-
-_FOLLOWED = ("displacement", "velocity")
-"""Kinds of control that a body follows within about a step."""
-
-
-def _control_gain(dataset: Dataset) -> float:
-    """The gain g [m/s^2 a unit] of v' = c v + g dt u, over all actuated bodies that follow u."""
-    rows: list[np.ndarray] = []
-    for each in dataset:
-        scene, kinds = each.scene, each.scene.control_kind or ()
-        for component, kind in enumerate(kinds[: scene.dimension]):
-            acts = scene.actuated
-            if scene.control_of is not None:
-                acts = acts & scene.control_of[:, component]
-            if kind in _FOLLOWED:
-                for node in np.flatnonzero(acts):
-                    velocity = each.velocity[:, node, component]
-                    control = scene.dt * each.control[:, component]
-                    rows.append(np.stack([control, velocity[:-1], velocity[1:]], axis=1))
-    if not rows:
-        return 1.0
-    table = np.concatenate(rows)
-    gain = float(np.linalg.lstsq(table[:, :2], table[:, 2], rcond=None)[0][0])
-    return gain if gain > 0.0 else 1.0

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.body_mass import MassBelief, mass_score
+from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_belief import (
     ContactBelief,
     ContactSensor,
@@ -33,7 +33,6 @@ from contactgraph.train.batch import Window
 from contactgraph.train.judged_steps import (
     JudgedSteps,
     SensorReports,
-    judge_steps,
     random_reports,
     random_segments,
     seen_or_not,
@@ -59,7 +58,7 @@ def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
     """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
     if not isinstance(model.inference, TransitionEdges):
         raise InvalidInputError(
-            f"{what}: the model must be a filter (--model filter), found "
+            f"{what}: the model must be a filter (--model ours), found "
             f"{type(model.inference).__name__}"
         )
     lacking = sum(each.contact is None for each in dataset)
@@ -253,9 +252,9 @@ def _filtered(
     reports: SensorReports | None = None,
     reports_touch: bool = True,
 ) -> tuple[ContactBelief, Float[Array, "T E"]]:
-    """The last corrected belief of a trajectory, and the score of every step."""
+    """The corrected belief [T, ...] after every step of a trajectory, and the step's score."""
 
-    def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, Array]:
+    def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, tuple]:
         graph, ratio, corrects, report = inputs
         predicted, joint, score = predict_and_score(model, belief, graph, ratio)
         used = jnp.where(corrects, ratio, 0.0)
@@ -263,22 +262,22 @@ def _filtered(
         if reports is not None:
             sensor = ContactSensor(reports.false_alarm, reports.miss, reports_touch)
             posterior = correct(posterior, report, sensor)
-        return seen_or_not(posterior, corrects), score
+        after = seen_or_not(posterior, corrects)
+        return after, (after, score)
 
     first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
     report = None if reports is None else reports.report
-    return jax.lax.scan(step, first, (graph, ratio, corrects, report))
+    beliefs, score = jax.lax.scan(step, first, (graph, ratio, corrects, report))[1]
+    return beliefs, score
 
 
 def corrected_beliefs(
-    model: ContactDynamics, windows: Window
-) -> tuple[ContactBelief, MassBelief | None]:
-    """The beliefs in the last states of windows, corrected by the motion of every step."""
-    judged = judge_steps(model, windows)
-    windows = with_window_masses(windows, judged.masses)
-    graph = encoded_steps(model, windows, judged)
-    always = jnp.ones(windows.control.shape[1], bool)
-    beliefs = jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
+    model: ContactDynamics, trajectories: Window, judged: JudgedSteps
+) -> ContactBelief:
+    """[B, T, ...] the beliefs after every step, corrected by the motion of all up to it."""
+    trajectories = with_window_masses(trajectories, judged.masses)
+    graph = encoded_steps(model, trajectories, judged)
+    always = jnp.ones(trajectories.control.shape[1], bool)
+    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
         graph, judged.log_ratio
     )
-    return beliefs, judged.masses

@@ -3,12 +3,13 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from contactgraph.data.dataset import Dataset, near_origin, with_edge_labels
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
@@ -17,7 +18,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_allocation import ReallocatingModel
-from contactgraph.train.advance import advance_steps, first_optimiser_state
+from contactgraph.train.advance import advance_steps, optimiser_of
 from contactgraph.train.batch import (
     WindowSource,
     batch_split,
@@ -25,6 +26,11 @@ from contactgraph.train.batch import (
     window_source,
 )
 from contactgraph.train.config import TrainConfig
+from contactgraph.train.expectation_maximisation import (
+    advance_filter,
+    first_filter_optimiser_state,
+    judged_count,
+)
 from contactgraph.train.filter_loss import check_contacts
 from contactgraph.train.fit_state import FitProgress, FitResult, FitState, FitStatus, with_lists
 from contactgraph.train.held_out import (
@@ -41,9 +47,12 @@ _BURN = 20
 
 def initial_state(model: ContactDynamics, config: TrainConfig, seed: int) -> FitState:
     """The state before the first step; equal seeds give equal results."""
+    optimiser: PyTree = optimiser_of(config).init(eqx.filter(model, eqx.is_inexact_array))
+    if isinstance(model.inference, TransitionEdges):
+        optimiser = optimiser, first_filter_optimiser_state(model, config)
     return FitState(
         model=model,
-        optimiser=first_optimiser_state(model, config),
+        optimiser=optimiser,
         key=jax.random.key_data(jax.random.key(seed)),
         # Explicit types: a weakly typed first state would compile all of training twice.
         step=jnp.zeros((), int),
@@ -77,17 +86,22 @@ def fit(
         check_contacts(state.model, train, "training with contacts")
     train, held_out = near_origin(train), near_origin(held_out)
     labelled = with_edge_labels(train) if config.use_contacts else train
-    turn_length = state.model.features.turn_length
-    batch = pad_trajectories(labelled, contacts=config.use_contacts, turn_length=turn_length)
+    turn_length, model = state.model.features.turn_length, state.model
+    filtered, judged, most = isinstance(model.inference, TransitionEdges), 0, None
+    if filtered:  # Both parts are judged by one program.
+        most = max(each.steps for each in (*train, *held_out))
+        judged = judged_count(most, max(1, len(devices)))
+        held_out = dataclasses.replace(held_out, trajectories=held_out.trajectories[:judged])
+    padded = partial(pad_trajectories, steps=most, turn_length=turn_length)
+    batch = padded(labelled, contacts=config.use_contacts)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
-    other = pad_trajectories(held_out, contacts=False, turn_length=turn_length)
-    burn = 0
-    model = state.model
-    if isinstance(model, TrajectoryModel) or isinstance(model.inference, TransitionEdges):
-        burn = max(0, min(_BURN, min(each.steps for each in held_out) - config.window_length))
+    other, burn = padded(held_out, contacts=False), 0
+    if isinstance(model, TrajectoryModel) or filtered:
+        shortest = min(each.steps for each in held_out)
+        burn = max(int(filtered), min(_BURN, shortest - config.window_length))
     checking = dataclasses.replace(config, window_length=config.window_length + burn)
-    checked = held_out_windows(_window_source(other, checking), burn)
+    checked = held_out_windows(_window_source(other, checking), burn, judged)
     baselines = checked.baselines(train.dt)
     if split is not None:
         state, source, checked = split.replicate((state, source, checked))
@@ -103,13 +117,14 @@ def fit(
         with_rollout = None
         if config.rollout_from < 1.0:
             with_rollout = np.asarray(int(state.step) >= config.rollout_from * config.steps)
-        after, arrays = lists.reallocate_on_overflow(
-            lambda model: advance_steps(
-                with_lists(state, model.neighbor_list),
-                *(source, checked, config, count, distractors, with_rollout, split),
-            ),
-            lambda found: _finite(found[1]),
-        )
+
+        def further(model: ContactDynamics) -> tuple[FitState, dict[str, Array]]:
+            given = with_lists(state, model.neighbor_list), source, checked, config, count
+            if filtered:
+                return advance_filter(*given, with_rollout, split)
+            return advance_steps(*given, distractors, with_rollout, split)
+
+        after, arrays = lists.reallocate_on_overflow(further, lambda found: _finite(found[1]))
         return with_lists(after, lists.given.neighbor_list), arrays
 
     status = FitStatus.finished

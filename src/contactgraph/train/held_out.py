@@ -5,13 +5,13 @@ would dilute a mean. The error is therefore over the bodies that move. Dead netw
 that react to nothing, and in errors that equal constant velocity.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.windows import moving_bodies
 from contactgraph.model.contact_belief import ContactBelief
@@ -22,7 +22,7 @@ from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
-from contactgraph.train.judged_steps import with_window_masses
+from contactgraph.train.judged_steps import JudgedSteps, with_window_masses
 from contactgraph.train.loss import chunked_vmap, predict_window
 
 _WINDOWS = 256
@@ -52,6 +52,11 @@ class HeldOutBaselines:
     moving: bool
     """Whether the errors are over the bodies that move; False where no body does: over all."""
 
+    def in_lengths(self, length: float) -> "HeldOutBaselines":
+        """These errors, found in units of ``length`` data units, in these."""
+        moves, rests = self.constant_velocity_rmse_m, self.standing_still_rmse_m
+        return HeldOutBaselines(length * moves, length * rests, self.moving)
+
 
 class HeldOutWindows(eqx.Module):
     """A fixed set of ``B`` windows of held-out trajectories, and the bodies that count in them."""
@@ -63,6 +68,10 @@ class HeldOutWindows(eqx.Module):
     before: Window | None = None
     """The steps before each window, whose motion corrects the belief in its first state. None: the
     first state is the first that is known."""
+    every: Window | None = None
+    """Whole trajectories, whose motion tells a filter."""
+    begins: tuple[Int[Array, " B"], Int[Array, " B"]] | None = None
+    """The trajectory, of all of these, and the first state of each window."""
 
     def baselines(self, dt: float) -> HeldOutBaselines:
         """The errors of constant velocity and of standing still; steps of ``dt`` [s]."""
@@ -78,20 +87,27 @@ class HeldOutWindows(eqx.Module):
         return HeldOutBaselines(rmse(first + elapsed * velocity[:, :1]), rmse(first), self.moving)
 
 
-def held_out_windows(source: WindowSource, burn: int = 0) -> HeldOutWindows:
+def held_out_windows(source: WindowSource, burn: int = 0, judged: int = 0) -> HeldOutWindows:
     """Windows balanced over events as those of training are, the same in every training.
 
-    Of each window that ``source`` draws, the first ``burn`` steps only correct the belief. Bodies
+    Of each window that ``source`` draws, the first ``burn`` steps only correct the belief. So many
+    whole trajectories are ``judged`` for a filter; those of all windows are among them. Bodies
     that get more than `MOVES_M` away from their first position in a window are counted, static ones
     and padding are not. Where no body moves in any window, all are.
     """
-    drawn = source.draw(_WINDOWS, jax.random.key(0))
+    index = source.draw_indices(_WINDOWS, jax.random.key(0))
+    drawn = source.take(index)
     windows = drawn.part(burn, drawn.control.shape[1])
     exists = np.asarray(windows.learned)
     moves = exists & moving_bodies(np.asarray(windows.position))
     moving = bool(moves.any())
     counted = jnp.asarray(moves if moving else exists)
-    return HeldOutWindows(windows, counted, moving, drawn.part(0, burn) if burn else None)
+    found = HeldOutWindows(windows, counted, moving, drawn.part(0, burn) if burn else None)
+    if not judged:
+        return found
+    trajectory, start = source.begins(index)
+    every = source.whole(jnp.arange(judged)).states
+    return replace(found, every=every, begins=(trajectory, start + burn))
 
 
 def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Float[Array, ""]:
@@ -106,21 +122,28 @@ def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Fl
     return jnp.sum(root) / jnp.maximum(jnp.sum(bodies > 0), 1)
 
 
-def rollout_rmse(model: ContactDynamics, held_out: HeldOutWindows) -> Float[Array, ""]:
-    """`mean_rmse` of the positions [m] of windows that are predicted from their first states."""
+def rollout_rmse(
+    model: ContactDynamics, held_out: HeldOutWindows, judged: JudgedSteps | None = None
+) -> Float[Array, ""]:
+    """`mean_rmse` of the positions [m] of windows that are predicted from their first states.
+
+    ``judged`` are the steps of all trajectories; they tell the masses of their bodies, too.
+    """
 
     def squared_error(window: Window, belief: ContactBelief | None) -> Float[Array, "L N"]:
         states = predict_window(model, window, belief)
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
     windows, before = held_out.windows, held_out.before
-    if before is None:
-        belief = None
-    elif isinstance(model, TrajectoryModel):
+    belief = None
+    if isinstance(model, TrajectoryModel) and before is not None:
         real = jnp.ones(before.control.shape[:2], bool)
         belief = jax.vmap(model.trajectory_belief)(before.trajectories(real))
-    else:
-        belief, masses = corrected_beliefs(model, before)
+    elif judged is not None and held_out.every is not None and held_out.begins is not None:
+        trajectory, start = held_out.begins
+        along = corrected_beliefs(model, held_out.every, judged)
+        belief = jax.tree.map(lambda leaf: leaf[trajectory, start - 1], along)
+        masses = jax.tree.map(lambda leaf: leaf[trajectory], judged.masses)
         windows = with_window_masses(windows, masses)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
     return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)

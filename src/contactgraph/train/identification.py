@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import window_weights
-from contactgraph.model.body_head import BodyHead
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, window_source
 from contactgraph.train.filter_loss import given_rollout
@@ -25,7 +25,7 @@ _SPREADS = {
     "friction_raw": 0.3,
     "log_inertia": 0.02,
 }
-"""Standard deviations of the numbers about their starts, in their own units: see `BodyHead`. What
+"""Standard deviations of the numbers about their starts, in their own units: see `ContactLaw`. What
 the data do not tell stays there. Outlines of uniform density tell the inertia within a tenth."""
 _WINDOWS, _STEPS = 256, 2
 """Windows of the fit, and their steps: more would diverge from the recording after an impact."""
@@ -39,7 +39,7 @@ most evaluations of the residuals, without those."""
 def identifies_laws(model: ContactDynamics) -> bool:
     """Whether `identify_laws` finds all that this model learns: see `ModelConfig.identified`."""
     head = getattr(model.local_dynamics, "head", None)
-    return isinstance(head, BodyHead) and head.identified
+    return isinstance(head, ContactLaw) and head.identified
 
 
 def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) -> ContactDynamics:

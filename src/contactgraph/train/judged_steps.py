@@ -22,11 +22,11 @@ from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState
-from contactgraph.train.batch import Window, WindowSource
+from contactgraph.train.batch import WholeTrajectories, Window
 from contactgraph.train.loss import WindowSteps
 
-_JUDGED, _FILTERED = 32, 12
-"""Trajectories that are judged at once, and those of them on which the filter is scored a step."""
+_FILTERED = 12
+"""Judged trajectories on which the filter is scored a step."""
 _LAPSE, _RESUME = 0.15, 0.1
 """Probability a step that observation stops, and that it begins again, in training of the filter:
 it learns to predict for some 10 steps from a belief that motion has corrected."""
@@ -158,38 +158,59 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
 
 
 class JudgedTrajectories(eqx.Module):
-    """Whole trajectories whose motion was judged by an earlier model of the same training.
+    """Whole trajectories, and what an earlier model of the same training says of their motion.
 
     Judging takes longer than learning from it, and the likelihoods change slowly.
     """
 
-    trajectories: Window
-    """States that are not observed are predicted: see `predict_unobserved`."""
-    step_mask: Bool[Array, "B T"]
-    observed: Bool[Array, "B T"]
-    """Whether the state that each step leads to is observed."""
-    contact: Float[Array, "B T+1 E"] | None
-    """Recorded contacts where training uses them."""
+    every: WholeTrajectories
     judged: JudgedSteps
 
-    def draw(self, key: PRNGKeyArray) -> "JudgedTrajectories":
+    def windows(self, count: int, length: int, key: PRNGKeyArray) -> tuple[Window, JudgedSteps]:
+        """``count`` windows of ``length`` steps, drawn with their probabilities."""
+        weight, states = self.every.weight, self.every.states
+        total = jnp.cumsum(weight.ravel())
+        uniform = jax.random.uniform(key, (count,))
+        drawn = jnp.searchsorted(total, uniform * total[-1], side="right")
+        index, start = jnp.divmod(jnp.minimum(drawn, total.size - 1), weight.shape[1])
+        steps = start[:, None] + jnp.arange(length + 1)
+
+        nodes, masses = jax.tree.map(lambda leaf: leaf[index], (states.nodes, self.judged.masses))
+        window = Window(
+            position=states.position[index[:, None], steps],
+            velocity=states.velocity[index[:, None], steps],
+            control=states.control[index[:, None], steps[:, :-1]],
+            nodes=nodes,
+        )
+        judged = dataclasses.replace(self.judged, masses=None)
+        judged = jax.tree.map(lambda leaf: leaf[index[:, None], steps[:, :-1]], judged)
+        return window, dataclasses.replace(judged, masses=masses)
+
+
+class ObservedAtTimes(eqx.Module):
+    """Judged trajectories that are observed in some segments of their steps alone."""
+
+    given: JudgedTrajectories
+    """States that are not observed are predicted: see `predict_unobserved`."""
+    observed: Bool[Array, "B T"]
+    """Whether the state that each step leads to is observed."""
+
+    def draw(self, key: PRNGKeyArray) -> "ObservedAtTimes":
         """Some of them."""
-        index = jax.random.randint(key, (_FILTERED,), 0, len(self.step_mask))
+        index = jax.random.randint(key, (_FILTERED,), 0, len(self.observed))
         return jax.tree.map(lambda leaf: leaf[index], self)
 
 
-def judge_trajectories(
-    model: ContactDynamics, source: WindowSource, key: PRNGKeyArray
-) -> JudgedTrajectories:
-    """Draws trajectories and judges them."""
-    draw_key, key = jax.random.split(key)
-    drawn, step_mask, contact = source.draw_trajectories(_JUDGED, draw_key)
-    observed = random_segments(key, step_mask.shape)
-    judged = judge_steps(model, drawn)
-    drawn = with_window_masses(drawn, judged.masses)
-    judged = dataclasses.replace(judged, masses=None)
-    predicted = predict_unobserved(without_gradient(model), drawn, judged, observed)
-    return JudgedTrajectories(predicted[0], step_mask, observed, contact, predicted[1])
+def observed_at_times(
+    model: ContactDynamics, given: JudgedTrajectories, key: PRNGKeyArray
+) -> ObservedAtTimes:
+    """The trajectories with random segments in which nothing is observed."""
+    observed = random_segments(key, given.every.real.shape)
+    states = with_window_masses(given.every.states, given.judged.masses)
+    judged = dataclasses.replace(given.judged, masses=None)
+    states, judged = predict_unobserved(without_gradient(model), states, judged, observed)
+    every = dataclasses.replace(given.every, states=states)
+    return ObservedAtTimes(JudgedTrajectories(every, judged), observed)
 
 
 def random_segments(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:

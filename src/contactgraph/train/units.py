@@ -38,11 +38,11 @@ class Units:
 def units_of(dataset: Dataset, contact_distance: float, usual: float) -> Units:
     """Units in which bodies touch at about ``usual``, and the mean square of a control is 1.
 
-    The length is a power of ten: 1 for metres, 1000 for millimetres.
+    The length is a power of 1000: 1 for metres, 1000 for millimetres.
     """
     control = np.concatenate([each.control for each in dataset])
     spread = np.sqrt(np.mean(control**2, axis=0)) if len(control) else np.ones(0)
-    length = 10.0 ** np.round(np.log10(contact_distance / usual))
+    length = 1000.0 ** np.round(np.log10(contact_distance / usual) / 3.0)
     return Units(float(length), tuple(float(each) or 1.0 for each in spread))
 
 

@@ -201,7 +201,8 @@ CARED_FOR = _paper_form(
     *("cared for", "local", "paper-local", "--event-fraction", "0.5"),
     *("--learning-rate", "3e-4", "--steps", "6000"),
 )
-OURS = _family("ours", "ours", ("gim-temp", "gim-non-temp", "no-gim", "full-ab"))
+_OURS = "ours-recurrent", "ours-memoryless", "ours-no-inference", "ours-full-ab"
+OURS = _family("ours", "ours", _OURS)
 FAMILIES = (LITERAL, CARED_FOR, OURS)
 
 _3_DISTRACTORS = ("--distractors", "3", "--mixed")

@@ -131,7 +131,7 @@ def test_recorded_steps_are_subsampled_for_training(
     assert repeated(capsys, "robot", "record", "fake", *arguments)[0] == 0
     # Recorded in steps of 0.001 s, trained in steps of 0.01 s.
     out = ["--out", tmp_path / "run", "--steps", 2, "--rollout-from", 1]
-    out += ["--model", "gim-temp", "--batch-size", 4, "--window-length", 3]
+    out += ["--model", "ours-recurrent", "--batch-size", 4, "--window-length", 3]
     assert run("train", path, "--every", 10, *out) == 0
     assert run("evaluate", tmp_path / "run", path) == 0
     assert "every 10th step is taken" in capsys.readouterr().out

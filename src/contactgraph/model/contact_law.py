@@ -1,4 +1,4 @@
-"""The head of bodies as they are: types, servos, contacts with a direction, bounce and friction."""
+"""The law of contact: types of bodies, servos, contacts with a direction, bounce and friction."""
 
 import dataclasses
 
@@ -11,9 +11,9 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.collision import Geometry
-from contactgraph.model.contact_solver import FreeBodies, lifted_fraction
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.convex import Patch
+from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.pins import with_pins, with_pins_held
 from contactgraph.model.planes import (
@@ -32,20 +32,19 @@ DECELERATION = 10.0
 """Unit of decelerations by the ground, in units of speed a second."""
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""
-_ROUGH = 0.454
-"""Start of `friction_raw`: 1 between bodies, else only holds explain that they go along."""
+_LEAST_FRICTION = 1e-3
 _PLANE_LEARNED = 0.1
 """Learned part of the distance from planes, as a share of what the data tell."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
-"""Approaches in a step, in units of `BodyHead.length`: before a touch, and from which one acts."""
+"""Approaches in a step, in units of `length`: before a touch, and from which one acts."""
 _NEAREST = 0.02
-"""In units of `BodyHead.length`: points that are farther than the nearest by more do not touch."""
+"""In units of `length`: points that are farther than the nearest by more do not touch."""
 _SMALL = 1e-6
 _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
 
 
-class BodyHead(eqx.Module):
+class ContactLaw(eqx.Module):
     """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
@@ -79,6 +78,7 @@ class BodyHead(eqx.Module):
     length: float = eqx.field(static=True)
     varying_mass: bool = eqx.field(static=True)
     identified: bool = eqx.field(static=True)
+    rough: bool = eqx.field(static=True)
     speed: float = eqx.field(static=True)
     turn_length: float | None = eqx.field(static=True)
     told: tuple[str, ...] = eqx.field(static=True)
@@ -98,6 +98,8 @@ class BodyHead(eqx.Module):
         turn_length: float | None = None,
         varying_mass: bool = False,
         identified: bool = False,
+        rough: bool = False,
+        friction: float = 1.0,
         told: tuple[str, ...] = (),
         key: PRNGKeyArray,
     ):
@@ -109,8 +111,9 @@ class BodyHead(eqx.Module):
             self.damper_raw = self.deceleration_raw = 0.0 * jnp.ones(node_types)
             self.log_mass = self.damper_raw + actuation.by_servo * np.log(_SERVO_MASS) / PACE
             self.bounce_raw = 0.0 * jnp.ones(node_types + 1)
-            on_planes = _ROUGH if identified else -_ROUGH
-            self.friction_raw = (_ROUGH * jnp.ones(node_types + 1)).at[-1].set(on_planes)
+            start = 0.5 * (4.0 + np.log(np.expm1(max(friction, _LEAST_FRICTION)))) / PACE
+            on_planes = start if identified else -start
+            self.friction_raw = (start * jnp.ones(node_types + 1)).at[-1].set(on_planes)
             self.plane_raw, self.plane_distance = self.damper_raw, 0.5 * length + self.damper_raw
             still = 0.0 * jnp.ones((node_types, *axes))
             self.log_inertia = None if turn_length is None else still
@@ -119,14 +122,15 @@ class BodyHead(eqx.Module):
         self.width, self.node_types, self.slots, self.length = width, node_types, slots, length
         self.averaged, self.speed, self.identified = averaged, speed, identified
         self.turn_length, self.varying_mass, self.told = turn_length, varying_mass, told
+        self.rough = rough
 
     def slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
         """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
-        damper, deceleration = (
-            jax.nn.softplus(PACE * node_type @ self._learned(name) - 6.0)
-            for name in ("damper_raw", "deceleration_raw")
-        )
-        return damper, DECELERATION * self.speed * deceleration
+        damper = jax.nn.softplus(PACE * node_type @ self._learned("damper_raw") - 6.0)
+        if not self.rough:
+            return damper, 0.0 * damper
+        slowed = jax.nn.softplus(PACE * node_type @ self._learned("deceleration_raw") - 6.0)
+        return damper, DECELERATION * self.speed * slowed
 
     def mass(
         self, node_type: Float[Array, "N types"], log_ratio: Float[Array, " N"] | float
@@ -152,6 +156,8 @@ class BodyHead(eqx.Module):
         other: Int[Array, " C"] | None = None,
     ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
         """Bounce and coefficient of friction of touches of nodes with others, or with planes."""
+        if not self.rough:
+            return jnp.zeros(one.shape), jnp.zeros(one.shape)
 
         def both(raw: Float[Array, " types+1"]) -> Float[Array, " C"]:
             each = node_type @ raw[:-1]
@@ -247,13 +253,19 @@ class BodyHead(eqx.Module):
         elif nodes.planes is not None:  # from which a hand may lift what it holds
             on_plane = jnp.arange(len(contacts.damper)) >= edges
             contacts = contacts.pushing(bodies, dt, capacity, on_plane)
-        solution = contacts.solve(bodies, dt, capacity)
+        solution = contacts.solve(bodies, dt, capacity, self.rough)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
         parameters = motion.parameters(local, slots, solution, step, self.speed, pins)
         if local.anchor is None:
             return parameters
-        return with_hinge_springs(parameters, local, contacts.coupling[: len(local.weight)], step)
+        return with_hinge_springs(
+            parameters,
+            local,
+            contacts.coupling[: len(local.weight)],
+            step,
+            solution.velocity_change,
+        )
 
     def _contacts(
         self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step
@@ -287,7 +299,10 @@ class BodyHead(eqx.Module):
         bounce = touch * elastic
         # A contact that bounces is over in an instant.
         normal = geometry.normal + bounce[:, None] * (geometry.impact_normal - geometry.normal)
-        normal = normal / jnp.sqrt(jnp.sum(normal**2, axis=-1, keepdims=True))
+        square = jnp.sum(normal**2, axis=-1, keepdims=True)
+        normal = normal / jnp.sqrt(
+            jnp.maximum(square, _SMALL)
+        )  # 0 of what fills up a list of edges
         return Contacts(
             geometry=dataclasses.replace(geometry, normal=normal),
             damper=damper_of(coupling),
