@@ -260,11 +260,13 @@ class ContactDynamics(eqx.Module):
     ) -> Float[Array, " W"]:
         """What moves bodies: the accelerations of a `ContactLaw`, else the control."""
         local = self.local_dynamics
-        if isinstance(local, FreeLinearDynamics) or not isinstance(local.head, ContactLaw):
+        if not isinstance(local, SpringMassDamperDynamics) or not isinstance(
+            head := local.head, ContactLaw
+        ):
             return control
         step = Step(local.discretization.theta, self.dt, self.control_size)
         given = control, self.features.node_type(nodes, position.dtype), nodes, step
-        return local.head.actuation.drive(position, velocity, *given, local.head.slots)
+        return head.actuation.drive(position, velocity, *given, head.slots)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""
