@@ -140,8 +140,7 @@ class Train:
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
         if options.steps is None:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
-            quick = options.model == "ours"
-            options = replace(options, steps=750 if quick else 2000)
+            options = replace(options, steps=750 if options.model == "ours" else 2000)
         if ":" not in options.model:
             choice("--model", options.model, PRESETS)
         check_edge_types(options.model, options.edge_types)

@@ -35,7 +35,6 @@ def with_hinge_springs(
     is that of their velocities by contacts."""
     assert local.anchor is not None and parameters.acceleration is not None
     theta, dt = step.theta, step.dt
-    damper = dt * parameters.damping_rate
     constraint = hinge_constraint(
         local.anchor,
         local.position,
@@ -45,7 +44,7 @@ def with_hinge_springs(
         local.geometry.relative_velocity,
     )
     own = parameters.stiffness_rate
-    before = 1.0 + theta * damper + theta**2 * dt**2 * own
+    before = 1.0 + theta * (dt * parameters.damping_rate) + theta**2 * dt**2 * own
     stiffness = constraint.stiffness_rate[:, None] * before  # as stiff whatever the damper does
     after = before + theta**2 * dt**2 * stiffness
     sprung = dataclasses.replace(

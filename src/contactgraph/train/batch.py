@@ -80,9 +80,7 @@ class WindowSource(eqx.Module):
 
     def draw_indices(self, count: int, key: PRNGKeyArray) -> Int[Array, " B"]:
         """Which windows `draw` takes with this key."""
-        uniform = jax.random.uniform(key, (count,))
-        drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
-        return jnp.minimum(drawn, self.cumulative.shape[0] - 1)
+        return draw_by(self.cumulative, count, key)
 
     def draw_trajectories(self, count: int, key: PRNGKeyArray) -> "WholeTrajectories":
         """`count` whole trajectories, all equally likely."""
@@ -117,6 +115,13 @@ class WindowSource(eqx.Module):
             control=every.control[index[:, None], states[:, :-1]],
             nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
         )
+
+
+def draw_by(cumulative: Float[Array, " W"], count: int, key: PRNGKeyArray) -> Int[Array, " B"]:
+    """Indices drawn with probabilities that add up to these sums."""
+    uniform = jax.random.uniform(key, (count,))
+    drawn = jnp.searchsorted(cumulative, uniform * cumulative[-1], side="right")
+    return jnp.minimum(drawn, cumulative.shape[0] - 1)
 
 
 class WholeTrajectories(eqx.Module):

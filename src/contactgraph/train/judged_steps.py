@@ -22,7 +22,7 @@ from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import no_sensitivity, with_control_displacement
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState
-from contactgraph.train.batch import WholeTrajectories, Window
+from contactgraph.train.batch import WholeTrajectories, Window, draw_by
 from contactgraph.train.loss import WindowSteps
 
 _FILTERED = 12
@@ -169,12 +169,9 @@ class JudgedTrajectories(eqx.Module):
     def windows(self, count: int, length: int, key: PRNGKeyArray) -> tuple[Window, JudgedSteps]:
         """``count`` windows of ``length`` steps, drawn with their probabilities."""
         weight, states = self.every.weight, self.every.states
-        total = jnp.cumsum(weight.ravel())
-        uniform = jax.random.uniform(key, (count,))
-        drawn = jnp.searchsorted(total, uniform * total[-1], side="right")
-        index, start = jnp.divmod(jnp.minimum(drawn, total.size - 1), weight.shape[1])
+        drawn = draw_by(jnp.cumsum(weight.ravel()), count, key)
+        index, start = jnp.divmod(drawn, weight.shape[1])
         steps = start[:, None] + jnp.arange(length + 1)
-
         nodes, masses = jax.tree.map(lambda leaf: leaf[index], (states.nodes, self.judged.masses))
         window = Window(
             position=states.position[index[:, None], steps],
