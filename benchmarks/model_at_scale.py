@@ -67,12 +67,11 @@ def step_call(model: ContactDynamics, count: int) -> Call:
     position, velocity, nodes = crowd(count)
     belief = eqx.filter_jit(model.initial_belief)(position, velocity, nodes)
     arrays, static = eqx.partition(model, eqx.is_array)
-    response = jnp.zeros((*position.shape, model.control_size))
 
     @jax.jit
     def step(arrays: ContactDynamics, state: ModelState) -> ModelState:
         whole = eqx.combine(arrays, static)
-        return take_step(whole, state, response, jnp.ones(model.control_size), nodes)[0]
+        return take_step(whole, state, jnp.ones(model.control_size), nodes)[0]
 
     return partial(step, arrays, ModelState(position, velocity, belief))
 

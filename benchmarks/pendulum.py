@@ -82,7 +82,9 @@ def method(solver: Solver, starts: np.ndarray, iterations: int) -> Method:
 class Pendulum(eqx.Module):
     """The pendulum as `ILQR` takes a model: one node with one degree of freedom, the angle."""
 
-    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
+    def linear_step(
+        self, state: ModelState, control: jax.Array, nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]:
         """The step, linear about the state; exact in the control."""
         angle, rate = state.position[0, 0], state.velocity[0, 0]
         slope = -GRAVITY * jnp.cos(angle)

@@ -57,5 +57,5 @@ position = jnp.array([[0.0, 0.0], [0.12, 0.0]])
 for speed in (-1.0, 1.0):
     velocity = jnp.array([[speed, 0.0], [0.0, 0.0]])
     state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-    graph = model.stages(state, nodes).graph
+    graph = model.encode_state(state, jnp.zeros(2), nodes)
     print(f"approach at {speed:+.0f} m/s: feature {float(graph.edge_features[0, 0, -1]):+.2f}")

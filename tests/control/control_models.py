@@ -80,7 +80,7 @@ class StickyBodies(Apart):
 
     reach: float = 0.1
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
+    def linear_step(self, state: ModelState, control, nodes: Nodes):
         pairs = pair_indices(state.position.shape[0])
         first, second = pairs[:, 0], pairs[:, 1]
         gap = jnp.linalg.norm(state.position[first] - state.position[second] + 1e-9, axis=-1)
@@ -105,7 +105,7 @@ class Pendulum(Apart):
 
     gravity: float = 9.81
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
+    def linear_step(self, state: ModelState, control, nodes: Nodes):
         angle = state.position
         stiffness = self.gravity * jnp.sinc(angle / jnp.pi)
         one = jnp.ones_like(angle)
@@ -123,7 +123,7 @@ class RandomModel(Apart):
     switch: jnp.ndarray
     """[] how much the edge matters."""
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
+    def linear_step(self, state: ModelState, control, nodes: Nodes):
         x, v = state.position, state.velocity
         close = (jnp.sum((x[0] - x[1]) ** 2) < 0.5).astype(x.dtype) * self.switch
         A21 = -DT * (1.0 + jnp.sin(3 * x * self.weight[0])) * (1 + close)
@@ -138,7 +138,7 @@ class Broken(Apart):
 
     edge: float | None = None
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
+    def linear_step(self, state: ModelState, control, nodes: Nodes):
         one = jnp.ones_like(state.position)
         beyond = True if self.edge is None else state.position[0, 0] > self.edge
         A22 = jnp.where(beyond, jnp.nan, one)

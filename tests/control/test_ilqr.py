@@ -52,7 +52,7 @@ def replay(model, state, nodes, controls):
     """The states that controls lead to, by stepping the model one by one."""
 
     def advance(state, control):
-        linear, belief = model.linear_step(state, nodes)
+        linear, belief = model.linear_step(state, control, nodes)
         state = ModelState(*linear(state.position, state.velocity, control), belief)
         return state, state
 
@@ -194,7 +194,7 @@ def test_damping_falls_after_a_success_and_grows_when_no_step_size_helped():
 
 
 class Springs(eqx.Module):
-    def linear_step(self, state, nodes):
+    def linear_step(self, state, control, nodes):
         one = jnp.ones_like(state.position)
         return blocks(-0.1 * one, 0.9 * one, 0.05 * jnp.stack([one, -one], -1), one), state.belief
 
@@ -207,7 +207,7 @@ def test_on_linear_dynamics_one_step_reaches_the_lqr_optimum():
     plan = solve(ILQR(H, 10), Springs(), state, nodes, cost, no_force(H, 2, 1))
     A, B, offset = (
         jnp.broadcast_to(part, (H, *part.shape))
-        for part in Springs().linear_step(state, nodes)[0].stacked()
+        for part in Springs().linear_step(state, jnp.zeros(1), nodes)[0].stacked()
     )
     Q, R, goal = cost.over(H)
     slope = -jnp.einsum("tij,tj->ti", Q, goal)
@@ -316,7 +316,7 @@ def test_a_guess_without_an_answer_is_dropped_and_trials_into_nan_are_rejected()
 class Slope(Apart):
     """Body 0 of 1 kg, which is thrown back at 3 m/s in every step from beyond -0.3 m."""
 
-    def linear_step(self, state, nodes):
+    def linear_step(self, state, control, nodes):
         one = jnp.ones_like(state.position)
         back = jnp.where(state.position > -0.3, -3.0, 0.0)
         return blocks(0.0 * one, one, 0.05 * one[..., None] * jnp.eye(2), back), state.belief

@@ -38,9 +38,9 @@ class Counted(eqx.Module):
     def initial_belief(self, position, velocity, nodes):
         return self.model.initial_belief(position, velocity, nodes)
 
-    def linear_step(self, state, nodes) -> tuple[LinearDynamics, object]:
+    def linear_step(self, state, control, nodes) -> tuple[LinearDynamics, object]:
         self.calls.append(1)
-        return self.model.linear_step(state, nodes)
+        return self.model.linear_step(state, control, nodes)
 
 
 def scene(count=3, shift=0.0):
@@ -77,7 +77,7 @@ def start(mpc):
 def advance(observation, control, nodes, probability):
     position, velocity = (jnp.asarray(observation[k]) for k in ("position", "velocity"))
     state = ModelState(position, velocity, two_type_belief(probability))
-    linear, belief = StickyBodies().linear_step(state, nodes)
+    linear, belief = StickyBodies().linear_step(state, control, nodes)
     position, velocity = linear(position, velocity, control)
     return {"position": position, "velocity": velocity}, belief.probability
 
@@ -339,8 +339,8 @@ def test_every_status_has_a_message():
 class WithSwitch(StickyBodies):
     """A third component of the control moves nothing."""
 
-    def linear_step(self, state, nodes):
-        linear, belief = super().linear_step(state, nodes)
+    def linear_step(self, state, control, nodes):
+        linear, belief = super().linear_step(state, control, nodes)
         B = jnp.concatenate([linear.B, jnp.zeros_like(linear.B[..., :1])], axis=-1)
         return dataclasses.replace(linear, B=B), belief
 

@@ -20,7 +20,6 @@ from contactgraph.control.routes import FreeMotion, _place_of_least_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import (
     ModelState,
-    control_sensitivity,
     load_model,
     scene_nodes,
     shipped_model,
@@ -116,7 +115,7 @@ def test_the_control_of_a_wanted_velocity_gives_it() -> None:
 
     @eqx.filter_jit
     def step(model):
-        return take_step(model, BEHIND, control_sensitivity(model, BEHIND, NODES), control, NODES)
+        return take_step(model, BEHIND, control, NODES)
 
     after = step(model())[0]
     np.testing.assert_allclose(after.velocity[0], wanted, atol=2e-3)

@@ -29,8 +29,8 @@ PLANNER = SwitchingILQR(H, 5, LIMITS, switches=(1,))
 class Clutch(Apart):
     """A force moves body 0 of 1 kg; body 1 of 1 kg goes with it in steps whose command is on."""
 
-    def linear_step(self, state, nodes):
-        on = jnp.zeros(()) if state.command is None else state.command[1]
+    def linear_step(self, state, control, nodes):
+        on = control[1]
         v = state.velocity[:, 0]
         jump = on * (0.5 * (v[0] + v[1]) - v)
         share = jnp.stack([1.0 - 0.5 * on, 0.5 * on])
@@ -98,8 +98,7 @@ def test_the_plan_is_that_of_the_lowest_true_cost(wanted):
     # The cost is that of the rollout under the plan's controls.
     state, states = REST, [jnp.stack([REST.position, REST.velocity], 1)]
     for u in plan.controls:
-        informed = eqx.tree_at(lambda s: s.command, state, u, is_leaf=lambda x: x is None)
-        linear, _ = Clutch().linear_step(informed, NODES)
+        linear, _ = Clutch().linear_step(state, u, NODES)
         state = state_of(*linear(state.position, state.velocity, u))
         states.append(jnp.stack([state.position, state.velocity], 1))
     np.testing.assert_allclose(jnp.stack(states), plan.states, atol=1e-5)
@@ -110,9 +109,8 @@ def test_with_its_schedule_given_the_forces_are_those_of_a_problem_without_a_swi
     plan = solve(PLANNER, REST, BOTH_GO, OFF)
 
     class On(Clutch):
-        def linear_step(self, state, nodes):
-            on = eqx.tree_at(lambda s: s.command, state, jnp.ones(2), is_leaf=lambda x: x is None)
-            linear, belief = super().linear_step(on, nodes)
+        def linear_step(self, state, control, nodes):
+            linear, belief = super().linear_step(state, jnp.ones(2), nodes)
             return eqx.tree_at(lambda d: d.B, linear, linear.B[..., :1]), belief
 
     alone = eqx.tree_at(lambda c: c.R, BOTH_GO, BOTH_GO.R[:1, :1])

@@ -25,7 +25,7 @@ class GluedBodies(eqx.Module):
     def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
         return two_type_belief(jnp.full(nodes.candidate.shape, 0.1, position.dtype))
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
+    def linear_step(self, state: ModelState, control: Array, nodes: Nodes):
         N, D = state.position.shape
         first, second = pair_indices(N).T
         gap = state.position[first] - state.position[second]
@@ -56,16 +56,16 @@ class Fades(GluedBodies):
     def initial_belief(self, position, velocity, nodes: Nodes) -> ContactBelief:
         return two_type_belief(jnp.ones(nodes.candidate.shape, position.dtype))
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
-        linear, _ = GluedBodies(self.theta).linear_step(state, nodes)
+    def linear_step(self, state: ModelState, control: Array, nodes: Nodes):
+        linear, _ = GluedBodies(self.theta).linear_step(state, control, nodes)
         return linear, two_type_belief(0.8 * state.belief.probability)
 
 
 class Explodes(GluedBodies):
     """Answers infinity."""
 
-    def linear_step(self, state: ModelState, nodes: Nodes):
-        linear, belief = GluedBodies(self.theta).linear_step(state, nodes)
+    def linear_step(self, state: ModelState, control: Array, nodes: Nodes):
+        linear, belief = GluedBodies(self.theta).linear_step(state, control, nodes)
         return LinearDynamics(linear.A, linear.B, linear.offset + jnp.inf), belief
 
 

@@ -28,7 +28,7 @@ class Hand(eqx.Module):
     def initial_belief(self, position, velocity, nodes):
         return two_type_belief(jnp.zeros(nodes.candidate.shape, position.dtype))
 
-    def linear_step(self, state, nodes):
+    def linear_step(self, state, control, nodes):
         N, D = state.position.shape
         gain, hand = GAIN[self.kind], nodes.actuated[:, None, None]
         left = gain if self.kind == "position" else 0.0

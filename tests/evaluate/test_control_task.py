@@ -28,9 +28,9 @@ class Counted(GluedBodies):
 
     traces = [0]  # noqa: RUF012
 
-    def linear_step(self, state, nodes):
+    def linear_step(self, state, control, nodes):
         self.traces[0] += 1
-        return GluedBodies(self.theta, self.reach).linear_step(state, nodes)
+        return GluedBodies(self.theta, self.reach).linear_step(state, control, nodes)
 
 
 def policy_of(model, capacity=0, limits=None) -> MPCPolicy:

@@ -28,7 +28,9 @@ class Fixed(eqx.Module):
         edges = count * (count - 1) // 2
         return ContactBelief(jnp.zeros((edges, 2)).at[:, 0].set(1.0))
 
-    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
+    def linear_step(
+        self, state: ModelState, control: Array, nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]:
         shape = state.position.shape
         A = jnp.broadcast_to(self.A, (*shape, 2, 2))
         B = jnp.zeros((*shape, 2, 2)).at[..., 1, :].set(0.5)

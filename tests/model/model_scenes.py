@@ -23,9 +23,17 @@ from contactgraph.model import (
 )
 from contactgraph.model import PRESETS as NAMED
 from contactgraph.model.collision import geometry
+from contactgraph.model.shapes import meeting
 
 DT = 0.05
-jitted_geometry = eqx.filter_jit(geometry)
+
+
+@eqx.filter_jit
+def jitted_geometry(position, velocity, pairs, contact_distance, **known):
+    """Of round bodies, or of bars about an ``anchor``; pairs [E, 2]."""
+    edge_index = jnp.asarray(pairs).T
+    places = meeting(position, edge_index, known.pop("anchor", None), known.pop("half_size", None))
+    return geometry(position, velocity, places, dt=DT, contact_distance=contact_distance, **known)
 
 
 @eqx.filter_jit

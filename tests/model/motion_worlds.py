@@ -13,6 +13,7 @@ from contactgraph.model import (
     ContactDynamics,
     LinearDynamics,
     ModelState,
+    WithoutContacts,
     two_type_belief,
 )
 
@@ -21,7 +22,7 @@ class _NoMessages(eqx.Module):
     types: tuple = (None,)
 
 
-class RigidGroups(eqx.Module):
+class RigidGroups(WithoutContacts):
     """Bodies of 1 kg: those joined by active edges take their common velocity, then share forces.
 
     Positions move with the velocity after the step.
@@ -29,23 +30,23 @@ class RigidGroups(eqx.Module):
 
     message_passing: _NoMessages = dataclasses.field(default_factory=_NoMessages)
 
-    def __call__(self, local, dt, control_size):
-        N, D = local.position.shape
+    def __call__(self, graph, dt):
+        (N, D), control_size = graph.position.shape, len(graph.control)
         first, second = pair_indices(N).T
-        active = jnp.sum(local.weight, axis=-1) > 0.5
+        active = jnp.sum(graph.active, axis=-1) > 0.5
         group = jnp.eye(N).at[first, second].set(active).at[second, first].set(active)
         group = group.at[jnp.arange(N), jnp.arange(N)].set(1.0)
         for _ in range(N):
             group = jnp.minimum(group @ group, 1.0)
         share = group / jnp.sum(group, axis=1, keepdims=True)
-        jump = share @ local.velocity - local.velocity
-        inverse = jnp.broadcast_to((share @ local.actuated)[:, None], (N, D))
+        jump = share @ graph.velocity - graph.velocity
+        inverse = jnp.broadcast_to((share @ graph.nodes.actuated)[:, None], (N, D))
         one, zero = jnp.ones((N, D)), jnp.zeros((N, D))
         A = jnp.stack([jnp.stack([one, dt * one], -1), jnp.stack([zero, one], -1)], -2)
         push = jnp.stack([dt**2 * inverse, dt * inverse], -1)
         B = push[..., None] * jnp.eye(D, control_size)[:, None, :]
         offset = jnp.stack([dt * jump, jump], -1)
-        kind = local.position.dtype
+        kind = graph.position.dtype
         return LinearDynamics(A.astype(kind), B.astype(kind), offset.astype(kind))
 
 

@@ -19,6 +19,7 @@ from contactgraph.model import ThetaMethod, from_physical, stack_state
 from contactgraph.model.collision import geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import FreeBodies
+from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -135,7 +136,8 @@ def moved(
         for half in (state[:N], state[N:])
     )
     nothing, along = jnp.zeros(N), jnp.array([1.0, 0.0])
-    seen = geometry(places, speeds, pairs.T, DT, contact_distance=0.01)
+    touching = meeting(places, pairs.T, None, None)
+    seen = geometry(places, speeds, touching, dt=DT, contact_distance=0.01)
     bodies = FreeBodies(
         mass=mass[:, None] * jnp.ones(2),
         velocity=speeds,

@@ -32,8 +32,8 @@ def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
         hung = np.full((COUNT, 2), np.nan)
         hung[[1, 4]] = rng.normal(size=(2, 2))
         anchor = jnp.asarray(hung)
-    states = map(jnp.asarray, (position, velocity, pairs.T))
-    edge_geometry = jitted_geometry(*states, 0.05, 0.08, None, anchor)
+    states = map(jnp.asarray, (position, velocity))
+    edge_geometry = jitted_geometry(*states, pairs, 0.08, anchor=anchor)
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))

@@ -22,6 +22,7 @@ from contactgraph.model import (
     SmoothCutoff,
 )
 from contactgraph.model.collision import Geometry, geometry
+from contactgraph.model.shapes import meeting
 
 TOUCH = 0.08
 
@@ -29,7 +30,18 @@ TOUCH = 0.08
 @jax.jit
 def from_origin(*moved) -> Geometry:
     moved = [jnp.stack([jnp.zeros(len(value)), value]) for value in moved]
-    return geometry(*moved[:2], jnp.asarray(pair_indices(2)).T, DT, TOUCH, *moved[2:])
+    return _geometry(moved[0], moved[1], pair_indices(2), TOUCH, *moved[2:])
+
+
+def _geometry(position, velocity, pairs, contact_distance, control_displacement=None) -> Geometry:
+    return geometry(
+        position,
+        velocity,
+        meeting(position, jnp.asarray(pairs).T, None, None),
+        dt=DT,
+        contact_distance=contact_distance,
+        control_displacement=control_displacement,
+    )
 
 
 def between(displacement, velocity, control_displacement=None) -> Geometry:
@@ -121,8 +133,8 @@ def quantities_and_slopes(position, velocity, contact_distance):
 
 
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
-    pairs = jnp.asarray(pair_indices(len(position)))
-    edges = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
+    pairs = pair_indices(len(position))
+    edges = _geometry(position, velocity, pairs, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     # Nothing learns where bodies touch from what is only a guess at it.
     guess = jnp.full_like(edges.distance, TOUCH)

@@ -4,7 +4,6 @@ Everything runs in float64 on scenes of four nodes, and all variants of a scene 
 vmapped step per model.
 """
 
-import dataclasses
 from functools import cache, partial
 
 import equinox as eqx
@@ -19,7 +18,6 @@ from model_scenes import (
     hinged,
     nodes_of,
     preset,
-    state_at,
     with_random_weights,
 )
 
@@ -33,7 +31,6 @@ from contactgraph.model import (
     ContactSensor,
     DistancePrior,
     InvariantFeatures,
-    LinearDynamics,
     MessagePassing,
     ModelConfig,
     ModelState,
@@ -43,10 +40,7 @@ from contactgraph.model import (
     SpringMassDamperDynamics,
     ThetaMethod,
     TypedMessagePassing,
-    control_sensitivity,
     correct,
-    two_type_belief,
-    with_control_displacement,
 )
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -77,10 +71,7 @@ def steps(model: ContactDynamics, scenes: tuple) -> tuple:
 
     def step(position, velocity, control, nodes):
         state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        # As if every actuated node had 1 kg.
-        gain = nodes.actuated[:, None, None] * jnp.eye(model.dimension, len(control))
-        informed = with_control_displacement(model, state, 0.5 * DT**2 * gain, control, nodes)
-        linear, belief = model.linear_step(informed, nodes)
+        linear, belief = model.linear_step(state, control, nodes)
         return *linear(position, velocity, control), belief.type_probability
 
     return jax.vmap(step)(*scenes)
@@ -234,7 +225,6 @@ def random_state(model: ContactDynamics, nodes: Nodes, seed: int = 4) -> ModelSt
 
 
 jitted_belief = eqx.filter_jit(ContactDynamics.initial_belief)
-stages = eqx.filter_jit(ContactDynamics.stages)
 linear_step = eqx.filter_jit(ContactDynamics.linear_step)
 
 
@@ -276,10 +266,7 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
         arrays, position, velocity, control = inputs
         model = eqx.combine(arrays, rest)
         state = ModelState(position, velocity, model.initial_belief(position, velocity, nodes))
-        informed = with_control_displacement(
-            model, state, jnp.full((3, 2, 2), 1e-3), control, nodes
-        )
-        linear, belief = model.linear_step(informed, nodes)
+        linear, belief = model.linear_step(state, control, nodes)
         parts = *linear(position, velocity, control), belief.type_probability
         return sum(jnp.sum(weight * part) for weight, part in zip(weights, parts, strict=True))
 
@@ -301,7 +288,7 @@ def test_the_gradient_of_a_step_against_finite_differences() -> None:
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
-def test_a_linear_step_uses_the_control_displacement() -> None:
+def test_a_linear_step_is_about_the_control() -> None:
     """Bodies at rest, 2 cm from touch: a push together changes the dynamics of the step."""
     model, nodes = preset("recurrent", width=8), nodes_of(3)
     model = eqx.tree_at(lambda m: m.sample, model, SoftEdges())
@@ -310,51 +297,43 @@ def test_a_linear_step_uses_the_control_displacement() -> None:
     still = jnp.zeros((3, 2))
     state = ModelState(position, still, ContactBelief(jnp.full((3, 2), 0.5)))
 
-    def pushed(displacement: float):
-        along = still.at[0, 0].set(displacement)
-        known = dataclasses.replace(state, control_displacement=along)
-        return linear_step(model, known, nodes)
+    def pushed(force: float):
+        return linear_step(model, state, jnp.array([force, 0.0]), nodes)
 
-    none, together = pushed(0.0), pushed(0.03)
+    none, together = pushed(0.0), pushed(20.0)
     assert np.abs(together[1].probability[0] - none[1].probability[0]) > 0.1
     assert np.abs(together[0].B - none[0].B).max() > 1e-3
 
 
 def test_the_stages_of_a_step_in_their_order() -> None:
-    """Each stage by itself gives what the composition holds, and the linear step is its last."""
+    """The stages one by one are the linear step."""
     model, nodes = preset("recurrent", width=8), nodes_of(3)
-    state = random_state(model, nodes)
+    state, control = random_state(model, nodes), jnp.array([3.0, -1.0])
 
     @eqx.filter_jit
     def separately(state):
-        graph = model.encode(state.position, state.velocity, nodes, state.control_displacement)
+        graph = model.encode(state.position, state.velocity, control, nodes, state.belief)
         belief = model.predict_belief(state.belief, graph)
-        local = model.cut_edges(graph, belief)
-        parameters = model.local_dynamics.parameters(local, DT, 2)
-        return graph, belief, local, model.linearize(local), parameters
+        cut = model.cut_edges(graph, belief)
+        return belief, model.linearize(cut), model.local_dynamics.parameters(cut, DT)
 
-    known = dataclasses.replace(state, control_displacement=jnp.full((3, 2), 0.01))
-    graph, belief, local, dynamics, parameters = separately(known)
-    found = stages(model, known, nodes)
-    assert_close((found.graph, found.belief, found.local), (graph, belief, local))
-    assert_close(found.dynamics, dynamics)
-    assert_close(linear_step(model, known, nodes), (dynamics, belief))
+    belief, dynamics, parameters = separately(state)
+    assert_close(linear_step(model, state, control, nodes), (dynamics, belief))
+    found = eqx.filter_jit(ContactDynamics.parameters)(model, state, control, nodes)
+    assert_close(found, parameters)
     assert_close(model.local_dynamics.discretization(parameters, DT), dynamics)
     for rate in (parameters.inverse_mass, parameters.stiffness_rate, parameters.damping_rate):
         assert np.all(rate >= 0)
 
 
-def test_a_rollout_is_its_steps_each_with_the_sensitivity_of_the_one_before() -> None:
+def test_a_rollout_is_its_steps() -> None:
     model, nodes = preset("recurrent", width=8), nodes_of(3)
     state = begin = random_state(model, nodes)
     controls = jnp.array([[4.0, -2.0], [-8.0, 3.0], [5.0, 9.0]])
     found = eqx.filter_jit(ContactDynamics.rollout)(model, state, controls, nodes)
-    sensitivity = control_sensitivity(model, state, nodes)
     for index, control in enumerate(controls):
-        informed = with_control_displacement(model, state, sensitivity, control, nodes)
-        linear, belief = linear_step(model, informed, nodes)
+        linear, belief = linear_step(model, state, control, nodes)
         state = ModelState(*linear(state.position, state.velocity, control), belief)
-        sensitivity = linear.control_sensitivity
         assert_close(jax.tree.map(lambda leaf, at=index: leaf[at], found), state)
     one = eqx.filter_jit(ContactDynamics.step)(model, begin, controls[0], nodes)
     assert_close(one, jax.tree.map(lambda leaf: leaf[0], found))
@@ -368,8 +347,8 @@ def test_a_corrected_belief_changes_the_next_one() -> None:
     def probability_after(model, measured: float) -> np.ndarray:
         belief = jitted_belief(model, position, still, nodes)
         belief = correct(belief, jnp.array([measured, jnp.nan, jnp.nan]), ContactSensor())
-        state = ModelState(position, still, belief, still)
-        return np.asarray(linear_step(model, state, nodes)[1].probability)
+        state = ModelState(position, still, belief)
+        return np.asarray(linear_step(model, state, jnp.zeros(2), nodes)[1].probability)
 
     recurrent, memoryless = preset("recurrent", width=8), preset("memoryless", width=8)
     change = probability_after(recurrent, 1.0) - probability_after(recurrent, 0.0)
@@ -407,15 +386,15 @@ def test_three_edge_types_work_end_to_end() -> None:
     belief = state.belief.type_probability
     assert belief.shape == (3, 3)
     np.testing.assert_allclose(belief[:, 1], belief[:, 2])
-    known = dataclasses.replace(state, control_displacement=jnp.zeros((3, 2)))
-    found = stages(model, known, nodes)
-    np.testing.assert_allclose(found.belief.type_probability.sum(axis=-1), 1, atol=1e-6)
+    graph = eqx.filter_jit(ContactDynamics.encode_state)(model, state, jnp.zeros(2), nodes)
+    predicted = eqx.filter_jit(ContactDynamics.predict_belief)(model, state.belief, graph)
+    np.testing.assert_allclose(predicted.type_probability.sum(axis=-1), 1, atol=1e-6)
     measured = correct(state.belief, jnp.array([1.0, 0.0, jnp.nan]), ContactSensor())
     assert measured.probability[0] > belief[0, 1:].sum()
 
     @jax.jit
     def offset_if(certain):
-        return model.linearize(model.cut_edges(found.graph, ContactBelief(certain))).offset
+        return model.linearize(model.cut_edges(graph, ContactBelief(certain))).offset
 
     first, second = (offset_if(jnp.eye(3)[jnp.full(3, active)]) for active in (1, 2))
     assert np.abs(first - second).max() > 1e-5, "each active type has a network of its own"
@@ -425,14 +404,14 @@ def test_free_matrices_have_no_spring() -> None:
     model, nodes = preset("full_ab"), nodes_of(2)
     state = ModelState(jnp.zeros((2, 2)), jnp.zeros((2, 2)), ContactBelief(jnp.ones((1, 2))))
     with pytest.raises(TypeError, match="FreeLinearDynamics has no spring-mass-damper"):
-        model.parameters(state, nodes)
+        model.parameters(state, jnp.zeros(2), nodes)
 
 
 def test_the_papers_form_gives_the_papers_matrices() -> None:
     model, nodes = preset("paper_literal", width=8), nodes_of(3)
-    known = dataclasses.replace(random_state(model, nodes), control_displacement=jnp.zeros((3, 2)))
-    parameters = eqx.filter_jit(ContactDynamics.parameters)(model, known, nodes)
-    linear, _ = linear_step(model, known, nodes)
+    state, control = random_state(model, nodes), jnp.zeros(2)
+    parameters = eqx.filter_jit(ContactDynamics.parameters)(model, state, control, nodes)
+    linear, _ = linear_step(model, state, control, nodes)
     m, k, c = 1 / parameters.inverse_mass, parameters.stiffness, parameters.damping
     one = jnp.ones_like(m)
     A = jnp.stack(
@@ -452,42 +431,40 @@ def test_free_matrices_use_every_component_of_the_control() -> None:
     assert model.control_size == 3 and model.local_dynamics.control_size == 3
 
 
-sensitivity = eqx.filter_jit(control_sensitivity)
+displacement = eqx.filter_jit(ContactDynamics.control_displacement)
 
 
-class Counts(eqx.Module):
-    """1 N moves every node by as many metres as it has candidate edges, and makes it as fast."""
-
-    def linear_step(self, state, nodes):
-        first, second = pair_indices(COUNT).T
-        edges = jnp.zeros(COUNT).at[first].add(nodes.candidate).at[second].add(nodes.candidate)
-        position = edges[:, None, None] * jnp.eye(2)
-        B = jnp.stack([position, 100.0 + position], axis=-2)
-        still = jnp.zeros((COUNT, 2, 2, 2))
-        return LinearDynamics(still, B, still[..., 0]), state.belief
-
-
-def test_only_present_contacts_transmit_the_control() -> None:
-    nodes = nodes_of(3, capacity=COUNT)
-    probability = jnp.array([0.9, 0.4, 0.51, 0.9, 0.9, 0.9])  # The last three: with padding.
-    state = ModelState(jnp.zeros((COUNT, 2)), jnp.ones((COUNT, 2)), two_type_belief(probability))
-    response = control_sensitivity(Counts(), state, nodes)
-    # Pairs in order: 0-1, 0-2, 1-2.
-    np.testing.assert_array_equal(response, jnp.array([1.0, 2, 1, 0])[:, None, None] * jnp.eye(2))
-    # In metres a newton: the row of the positions.
-    linear, _ = Counts().linear_step(state, nodes)
-    np.testing.assert_array_equal(linear.control_sensitivity, linear.B[..., 0, :])
+def test_what_is_held_moves_with_what_the_control_drives() -> None:
+    """A body of 1 kg driven alone, and rigidly together with one or two others of 1 kg."""
+    model, nodes = preset("ours"), nodes_of(3, capacity=COUNT)
+    model = eqx.tree_at(
+        lambda each: each.local_dynamics.head.log_mass, model, replace_fn=jnp.zeros_like
+    )
+    position = jnp.zeros((COUNT, 2)).at[:, 0].set(jnp.array([0.0, 0.1, 0.2, 9.0]))
+    control, theta = jnp.array([4.0, -2.0]), float(model.local_dynamics.discretization.theta)
+    free = theta * DT**2 * np.array([4.0, -2.0])
+    # Pairs in order: 0-1, 0-2, 1-2, then those with padding, which hold nothing.
+    for holding, shares in (
+        ([0.4, 0.0, 0.9, 0.9, 0.9, 0.9], [1.0, 0.0, 0.0, 0.0]),
+        ([0.9, 0.0, 0.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]),
+        ([0.9, 0.0, 0.51, 0.0, 0.0, 0.0], [1 / 3, 1 / 3, 1 / 3, 0.0]),
+    ):
+        held = jnp.asarray(holding)
+        belief = ContactBelief(jnp.stack([1.0 - held, 0.0 * held, held], axis=-1))
+        state = ModelState(position, jnp.zeros_like(position), belief)
+        found = displacement(model, state, control, nodes)
+        np.testing.assert_allclose(found, np.outer(shares, free), rtol=2e-3, atol=1e-8)
 
 
-def test_a_contact_that_the_control_would_make_does_not_transmit_it() -> None:
-    """Two bodies just out of contact: the model couples them, the force acts on the first."""
-    model, nodes = preset("no_inference"), nodes_of(2)
+def test_a_touch_does_not_transmit_the_control_within_a_step() -> None:
+    model, nodes = preset("ours"), nodes_of(2)
     position = jnp.array([[0.0, 0.0], [0.1, 0.0]])
-    state = state_at(model, position, jnp.zeros((2, 2)), nodes)
-    apart = dataclasses.replace(state, belief=two_type_belief(jnp.zeros(1)))
-    held = dataclasses.replace(state, belief=two_type_belief(jnp.ones(1)))
-    alone, together = (sensitivity(model, each, nodes) for each in (apart, held))
-    assert np.any(alone[0] > 0) and np.all(np.abs(together[0]) <= np.abs(alone[0]))
-    linear, _ = linear_step(model, apart, nodes)
-    np.testing.assert_allclose(linear.control_sensitivity, together, rtol=1e-5)
-    assert np.abs(together[0] - alone[0]).max() > 1e-5
+    touching = ContactBelief(jnp.array([[0.0, 1.0, 0.0]]))
+    state = ModelState(position, jnp.zeros((2, 2)), touching)
+    found = displacement(model, state, jnp.array([4.0, 0.0]), nodes)
+    assert found[0, 0] > 1e-4 and not np.any(found[1])
+
+
+def test_the_papers_form_leaves_the_control_out_of_account_within_a_step() -> None:
+    model, nodes = preset("paper_literal", width=8), nodes_of(3)
+    assert model.control_displacement(random_state(model, nodes), jnp.ones(2), nodes) is None

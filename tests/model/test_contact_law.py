@@ -22,7 +22,8 @@ from contactgraph.model import (
     scene_nodes,
 )
 from contactgraph.model.body_starts import told_numbers
-from contactgraph.model.contact_law import PACE, ContactLaw
+from contactgraph.model.body_types import PACE
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.filter import check_fit
 
 DT, STEPS = 0.05, 20
@@ -66,7 +67,7 @@ def test_a_free_servo_is_linear_in_its_state_as_its_equation() -> None:
     position = jnp.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
     velocity = jnp.array([[0.4, -0.3], [0.0, 0.0], [0.0, 0.0]])
     state = ModelState(position, velocity, model().initial_belief(position, velocity, nodes))
-    linear, _ = eqx.filter_jit(model().linear_step)(state, nodes)
+    linear, _ = eqx.filter_jit(model().linear_step)(state, jnp.zeros(2), nodes)
     inertia = 1.0 + 15.0 * DT + 100.0 * DT**2
     by_position, by_velocity = -100.0 * DT / inertia, 1.0 / inertia
     expected = np.broadcast_to([by_position, by_velocity], (2, 2))
@@ -110,12 +111,8 @@ def lift(model: ContactDynamics, held: jax.Array, hand: jax.Array, target: jax.A
     types = ContactBelief(jax.nn.one_hot(jnp.where(held, 2, 0), 3)[None])
 
     def step(state: tuple, _: None) -> tuple:
-        moved = jnp.zeros((2, 2))
-        for _ in range(2):  # how far the control moves what is held, first not known
-            linear = model.linearize(model.cut_edges(model.encode(*state, nodes, moved), types))
-            free = model.drive(*state, target, nodes)
-            moved = jnp.sum(linear.control_sensitivity * free, axis=-1)
-        return linear(*state, target), None
+        graph = model.encode(*state, target, nodes, types)
+        return model.linearize(model.cut_edges(graph, types))(*state, target), None
 
     first = jnp.stack([hand, hand - jnp.array([0.0, 0.08])])
     return jax.lax.scan(step, (first, jnp.zeros((2, 2))), length=10)[0][0]

@@ -11,6 +11,7 @@ import pytest
 from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import ContactMotion, FreeBodies
+from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT, TOUCH = 0.05, 0.08
@@ -69,7 +70,8 @@ def solution(
 
 @eqx.filter_jit
 def _solve(net, position, velocity, pairs, anchor, gain, smooth) -> tuple[ContactMotion, Geometry]:
-    around = geometry(position, velocity, pairs.T, DT, TOUCH, None, anchor)
+    places = meeting(position, pairs.T, anchor, None)
+    around = geometry(position, velocity, places, dt=DT, contact_distance=TOUCH)
     return solution(net, velocity, gain, around, smooth), around
 
 

@@ -16,6 +16,7 @@ from contactgraph.model.collision import geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import FreeBodies
 from contactgraph.model.planes import plane_geometry
+from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -34,7 +35,15 @@ def stepped(
     """
     count = len(mass)
     edges = jnp.asarray(pair_indices(count)).T
-    found = geometry(position, velocity, edges, DT, TOUCH, THETA * DT * pushed, None, static)
+    found = geometry(
+        position,
+        velocity,
+        meeting(position, edges, None, None),
+        dt=DT,
+        contact_distance=TOUCH,
+        control_displacement=THETA * DT * pushed,
+        static=static,
+    )
     meets = (found.fraction_after_impact > 0.0).astype(float)
     nothing = jnp.zeros(edges.shape[1])
     contacts = Contacts(

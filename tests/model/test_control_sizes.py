@@ -28,7 +28,7 @@ def stepped(name: str, hinges: bool, control: tuple[float, ...]) -> tuple[np.nda
     def both(
         model: ContactDynamics, state: ModelState, control: jax.Array
     ) -> tuple[LinearDynamics, ModelState]:
-        return model.linear_step(state, nodes)[0], model.step(state, control, nodes)
+        return model.linear_step(state, control, nodes)[0], model.step(state, control, nodes)
 
     linear, after = compiled(both, model, state, jnp.asarray(control))
     return np.asarray(linear.B), np.asarray(after.position), np.asarray(after.velocity)

@@ -17,7 +17,8 @@ from contactgraph.data.outlines import hull_moments, hull_rows
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
-from contactgraph.model.contact_law import DECELERATION, PACE
+from contactgraph.model.body_types import DECELERATION, PACE
+from contactgraph.model.contact_belief import nothing_active
 from contactgraph.model.polygons import contact_points, plane_points
 from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
 from contactgraph.model.shapes import Meeting
@@ -290,7 +291,7 @@ def test_places_that_are_known_are_not_found_again() -> None:
     position, velocity = map(jnp.asarray, (drawn(1, 0.08)[0], 0.1 * drawn(1, 1.0, 1)[0]))
 
     def encoded(meeting: Meeting | None) -> EncodedGraph:
-        return encode(model(), position, velocity, nodes, None, None, None, meeting)
+        return encode(model(), position, velocity, jnp.zeros(0), nodes, nothing_active(3), meeting)
 
     graph = encoded(None)
     known = encoded(graph.meeting)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, jitted_geometry, nodes_of, state_at, with_random_weights
+from model_scenes import DT, nodes_of, state_at, with_random_weights
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
@@ -17,8 +17,9 @@ from contactgraph.model import (
     PerDegreeHead,
     SpringMassDamper,
 )
+from contactgraph.model.contact_belief import nothing_active
 from contactgraph.model.local_dynamics import FreeLinearDynamics
-from contactgraph.model.types import LocalInput, Step
+from contactgraph.model.types import EncodedGraph
 
 CONFIG = ModelConfig(2, 2, DT, 0.1, width=8)
 NODES = nodes_of(3)
@@ -35,7 +36,7 @@ def made(name: str, **changes) -> ContactDynamics:
 def weights(model: ContactDynamics) -> np.ndarray:
     """Of the pairs 0-1, 0-2 and 1-2; node 0 is actuated."""
     state = state_at(model, POSITION, jnp.zeros((3, 2)), NODES)
-    return np.asarray(encode(model, state, NODES).weight)
+    return np.asarray(encode(model, state, jnp.zeros(2), NODES).weight)
 
 
 @pytest.mark.parametrize("form", ["paper-literal", "paper-local"])
@@ -66,7 +67,7 @@ def test_temperature_one_leaves_no_edge_certain() -> None:
     for temperature, certain in ((1.0, False), (0.15, True)):
         model = made("paper-literal", temperature=temperature)
         state = state_at(model, POSITION, 5.0 * jnp.ones((3, 2)), NODES)
-        graph = encode(model, state, NODES)
+        graph = encode(model, state, jnp.zeros(2), NODES)
         graph = dataclasses.replace(graph, embedding=20.0 * graph.embedding)
         probability = np.asarray(model.predict_belief(state.belief, graph).type_probability)
         assert (probability.max() > bound + 1e-3) == certain
@@ -81,41 +82,30 @@ def test_edges_may_be_drawn_in_training() -> None:
 
 
 WIDTH, COUNT = 6, 3
-STEP = Step(jnp.zeros(()), DT, 2)
 
 
 @eqx.filter_jit
 def parameters_of(*arguments) -> SpringMassDamper:
-    return PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))(*arguments, STEP)
+    head = PerDegreeHead(WIDTH, 2, key=jax.random.PRNGKey(1))
+    return head(*arguments, theta=jnp.zeros(()), dt=DT)
 
 
-def graph_of_three() -> tuple[LocalInput, jax.Array, jax.Array]:
+def graph_of_three() -> tuple[EncodedGraph, jax.Array, jax.Array]:
     rng = np.random.default_rng(0)
 
     def normal(*shape: int) -> jax.Array:
         return jnp.asarray(rng.normal(size=shape).astype(np.float32))
 
     position, velocity = normal(COUNT, 2), normal(COUNT, 2)
-    pairs = jnp.asarray(pair_indices(COUNT))
-    local = LocalInput(
-        position=position,
-        velocity=velocity,
-        node_type=jnp.zeros((COUNT, 2)),
-        actuated=jnp.zeros(COUNT),
-        node_features=jnp.zeros((COUNT, 0)),
-        edge_features=jnp.zeros((2, len(pairs), 0)),
-        weight=jnp.ones((len(pairs), 1)),
-        geometry=jitted_geometry(position, velocity, pairs.T, DT, 0.1),
-        anchor=None,
-        nodes=nodes_of(COUNT),
-        control_displacement=None,
-    )
-    return local, normal(COUNT, WIDTH), normal(1, 2, len(pairs), WIDTH)
+    model, pairs = made("paper-literal"), pair_indices(COUNT)
+    nothing = nothing_active(model.inference.edge_types)
+    graph = model.encode(position, velocity, jnp.zeros(2), nodes_of(COUNT), nothing)
+    return graph, normal(COUNT, WIDTH), normal(1, 2, len(pairs), WIDTH)
 
 
 def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
-    local, embedding, message = graph_of_three()
-    found = parameters_of(local, embedding, message)
+    graph, embedding, message = graph_of_three()
+    found = parameters_of(graph, embedding, message)
     for rate in (found.inverse_mass, found.stiffness_rate, found.damping_rate):
         assert rate.shape == (COUNT, 2)
         assert np.all((rate > 0) & (rate < 5))
@@ -125,12 +115,13 @@ def test_the_papers_parameters_are_bounded_and_its_damper_rests() -> None:
 
 
 def test_the_equilibrium_is_relative_to_the_hinge_if_any() -> None:
-    local, embedding, message = graph_of_three()
-    free = parameters_of(local, embedding, message)
+    graph, embedding, message = graph_of_three()
+    free = parameters_of(graph, embedding, message)
     hinge = jnp.array([2.0, -1.0])
     anchor = jnp.full((COUNT, 2), jnp.nan).at[1].set(hinge)
-    hung = parameters_of(dataclasses.replace(local, anchor=anchor), embedding, message)
+    hinged = dataclasses.replace(graph, nodes=graph.nodes._replace(anchor=anchor))
+    hung = parameters_of(hinged, embedding, message)
     moved = hung.equilibrium - free.equilibrium
-    np.testing.assert_allclose(moved[1], hinge - local.position[1], atol=1e-6)
+    np.testing.assert_allclose(moved[1], hinge - graph.position[1], atol=1e-6)
     np.testing.assert_array_equal(moved[jnp.array([0, 2])], 0.0)
     assert np.all(np.isfinite(hung.equilibrium))

@@ -18,6 +18,7 @@ from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.evaluate.open_loop_metrics import pin_drift
 from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps
 from contactgraph.model import ContactDynamics, ModelConfig, scene_nodes
+from contactgraph.model.contact_belief import nothing_active
 from contactgraph.train.config import CONTACT_DISTANCE, body_defaults
 from contactgraph.train.units import Units, in_units
 
@@ -186,7 +187,11 @@ def test_bodies_that_a_pin_joins_do_not_touch() -> None:
     at = tuple(map(jnp.asarray, start((0.3, 2.5), (0.0, 0.0))))
     every = replace(SCENE, candidate_edges=None)
     free = replace(every, pins=None, pin_points=None)
-    weight, apart = (encode(model(), *at, scene_nodes(each)).weight for each in (every, free))
+    given = *at, jnp.zeros(model().control_size)
+    nothing = nothing_active(model().inference.edge_types)
+    weight, apart = (
+        encode(model(), *given, scene_nodes(each), nothing).weight for each in (every, free)
+    )
     assert not weight[0] and not weight[2] and apart[0] == apart[2] == 1.0
 
 

@@ -209,7 +209,7 @@ def touching(model: ContactDynamics, nodes, start, types, steps: int) -> tuple:
     """Position and velocity after steps in which contacts are of these types."""
 
     def step(at: tuple, _: None) -> tuple:
-        graph = model.encode(*at, nodes)
+        graph = model.encode(*at, jnp.zeros(0), nodes, ContactBelief(types))
         linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
         return linear(*at, jnp.zeros(0)), None
 

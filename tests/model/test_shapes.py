@@ -9,7 +9,7 @@ from jax.test_util import check_grads
 
 from contactgraph.data.scene import box_distance
 from contactgraph.model.collision import geometry
-from contactgraph.model.shapes import box_displacement
+from contactgraph.model.shapes import box_displacement, meeting
 
 HALF = np.array([0.1, 0.2, 0.05])
 DT = 0.04
@@ -53,13 +53,14 @@ def test_within_a_box_the_nearest_side_counts() -> None:
 
 
 def _met(position, velocity) -> tuple[float, np.ndarray]:
+    position = jnp.stack([jnp.zeros(2), position])
+    half_size = jnp.array([[0.05, 0.1], [0.0, 0.0]])
     found = geometry(
-        jnp.stack([jnp.zeros(2), position]),
+        position,
         jnp.stack([jnp.zeros(2), velocity]),
-        jnp.array([[0], [1]]),
-        DT,
-        0.07,
-        half_size=jnp.array([[0.05, 0.1], [0.0, 0.0]]),
+        meeting(position, jnp.array([[0], [1]]), None, half_size),
+        dt=DT,
+        contact_distance=0.07,
     )
     return found.time_of_impact[0], found.normal[0]
 

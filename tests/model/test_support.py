@@ -68,9 +68,8 @@ def state(velocity: np.ndarray, active: list[float]) -> tuple[ModelState, Nodes]
 def next_velocity(
     model: ContactDynamics, start: ModelState, nodes: Nodes, control: jax.Array
 ) -> jax.Array:
-    encoded = model.encode(start.position, start.velocity, nodes)
-    local = model.cut_edges(encoded, start.belief)
-    linear = model.local_dynamics(local, DT, 3)
+    encoded = model.encode_state(start, control, nodes)
+    linear = model.linearize(model.cut_edges(encoded, start.belief))
     return linear(start.position, start.velocity, control)[1]
 
 
@@ -109,7 +108,7 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
     pairs = pair_indices(4)
     hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((i, j), 0.0) for i, j in pairs.tolist()])
-    edges = jitted_geometry(position, np.zeros((4, 3)), jnp.asarray(pairs.T), DT, 0.05)
+    edges = jitted_geometry(position, np.zeros((4, 3)), pairs, 0.05)
     actuated = jnp.asarray([1.0, 0.0, 0.0, 0.0])
     share = jitted_fraction(actuated, hold, edges)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])

@@ -24,9 +24,11 @@ from contactgraph.model import (
     correct,
     ours,
 )
-from contactgraph.model.contact_belief import posterior_by_motion, without_change
+from contactgraph.model.contact_belief import nothing_active, posterior_by_motion, without_change
 from contactgraph.model.edge_inference import PriorEdges
 from contactgraph.model.features import stillness
+
+STILL, NOTHING = jnp.zeros(2), nothing_active(3)
 
 LEAST = 2e-3
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -258,9 +260,9 @@ def test_types_that_hold_start_apart(types, coupling) -> None:
 
     @eqx.filter_jit
     def coupled(model: ContactDynamics, types: jax.Array) -> jax.Array:
-        graph = model.encode(position, velocity, nodes)
-        local = model.cut_edges(graph, ContactBelief(types[None]))
-        after = model.linearize(local)(position, velocity, jnp.zeros(2))[1]
+        graph = model.encode(position, velocity, STILL, nodes, NOTHING)
+        cut = model.cut_edges(graph, ContactBelief(types[None]))
+        after = model.linearize(cut)(position, velocity, STILL)[1]
         return 1.0 - (after[0, 0] - after[1, 0]) / (velocity[0, 0] - velocity[1, 0])
 
     found = np.array([coupled(model, kind) for kind in jnp.eye(types)])
@@ -296,7 +298,7 @@ def test_a_filter_knows_whether_bodies_approach_at_all() -> None:
         """Of bodies that come nearer by that part of the contact distance in a step."""
         position = jnp.array([[0.0, 0.0], [1.1 * distance, 0.0]])
         velocity = jnp.array([[0.5, 0.2], [0.5, 0.2]]).at[1, 0].add(-closing * distance / DT)
-        graph = model.encode(position, velocity, nodes)
+        graph = model.encode(position, velocity, STILL, nodes, NOTHING)
         return stillness(graph.geometry)[0], graph.embedding[0]
 
     found, embedding = compiled(known, model, jnp.array([0.0, -0.3, 0.02, 0.2]))
@@ -336,7 +338,7 @@ def test_a_predicted_belief_has_the_parts_of_the_first_one(inference) -> None:
         model = dataclasses.replace(model, inference=inference)
 
     def both(position, velocity):
-        graph = model.encode(position, velocity, nodes)
+        graph = model.encode(position, velocity, STILL, nodes, NOTHING)
         return model.prior_belief(graph), model.predict_belief(model.prior_belief(graph), graph)
 
     first, second = jax.eval_shape(both, position, velocity)

@@ -12,12 +12,15 @@ from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
 from contactgraph.model import ContactSensor, ModelConfig, ours
+from contactgraph.model.contact_belief import nothing_active
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import judged_steps as reports_module
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import _denial_score, filter_loss
 from contactgraph.train.judged_steps import judge_steps, random_reports
 from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
+
+STILL, NOTHING = jnp.zeros(2), nothing_active(3)
 
 MODEL = ours(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)
@@ -100,7 +103,7 @@ def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> ReportedSteps:
     nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
 
     def encode(position: jax.Array):
-        return MODEL.encode(position, jnp.zeros_like(position), nodes)
+        return MODEL.encode(position, jnp.zeros_like(position), STILL, nodes, NOTHING)
 
     graph = eqx.filter_jit(jax.vmap(jax.vmap(encode)))(jnp.asarray(position[:, 1:]))
     rng = np.random.default_rng(1)
@@ -142,7 +145,7 @@ def denied(distance: jax.Array, speed: jax.Array, rate: jax.Array) -> jax.Array:
     nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
 
     def encode(position: jax.Array, velocity: jax.Array):
-        return model.encode(position, velocity, nodes)
+        return model.encode(position, velocity, STILL, nodes, NOTHING)
 
     graph = jax.vmap(jax.vmap(encode))(position, velocity)
     return _denial_score(model, graph, KEY)

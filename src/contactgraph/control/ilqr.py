@@ -22,7 +22,7 @@ from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati import block_operator
 from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model import ModelState, Nodes, StepModel, control_sensitivity
+from contactgraph.model import ModelState, Nodes, StepModel
 
 PlannedCost = tuple[QuadraticCost, Int[Array, " M"], tuple[ContactCost, ...]]
 """The quadratic part of a cost, on the M nodes that have one; these nodes; and its contacts."""
@@ -117,11 +117,10 @@ class ILQR(eqx.Module):
         part, contacts = block_cost(cost, ids, dimension, self.horizon), cost.contacts
         # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
-        start = state, control_sensitivity(model, state, nodes)
 
         def advance(progress: Progress) -> Progress:
             search, swept = progress
-            rollout = follow(model, start, nodes, search.trial, self.limits, ids)
+            rollout = follow(model, state, nodes, search.trial, self.limits, ids)
             costs = part.by_step(rollout.x, rollout.controls)
             for each in contacts:
                 costs += each.by_step(rollout.states, rollout.beliefs)
@@ -139,7 +138,7 @@ class ILQR(eqx.Module):
 
         if isinstance(begin, AffinePolicy):
             trial = AffinePolicy(block_gains(begin.K, ids), begin.k)
-            shape = eqx.filter_eval_shape(follow, model, start, nodes, trial, self.limits, ids)
+            shape = eqx.filter_eval_shape(follow, model, state, nodes, trial, self.limits, ids)
             begin = _Search.of(trial, shape, part.R.dtype), None
             if self.swept_dt is not None:
                 empty = SweptBounds.empty(self.iterations, self.horizon, state.position)

@@ -21,8 +21,6 @@ from contactgraph.model import (
     MotionNoise,
     Nodes,
     StepModel,
-    control_sensitivity,
-    with_control_displacement,
     with_masses,
 )
 from contactgraph.model.filter import FilterState, first_filter_state, update
@@ -150,10 +148,7 @@ class MPCConfig(eqx.Module):
         control = jax.tree.map(lambda of_step: of_step[0], previous.policy)(x)
         control = jnp.where(jnp.isfinite(control), control, previous.controls[0])
         control = control if self.planner.limits is None else self.planner.limits(control)
-        informed = with_control_displacement(
-            self.model, now, control_sensitivity(self.model, now, nodes), control, nodes
-        )
-        _, belief = self.model.linear_step(informed, nodes)
+        _, belief = self.model.linear_step(now, control, nodes)
         return replace(
             previous.with_status(PlanStatus.PLAN_REUSED),
             states=previous.states.at[0].set(x),

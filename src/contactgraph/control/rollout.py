@@ -19,8 +19,8 @@ from contactgraph.model import (
     ModelState,
     Nodes,
     StepModel,
+    control_displacement,
     take_step,
-    with_control_displacement,
 )
 
 
@@ -35,7 +35,7 @@ class Rollout(eqx.Module):
     """`block_state` of the M nodes, ``m = 2MD``."""
     controls: Float[Array, "H U"]
     control_displacement: Float[Array, "H N D"]
-    """m; displacement of each node by the step's control alone: see `with_control_displacement`."""
+    """m; displacement of each node by the step's control alone: see `control_displacement`."""
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
@@ -65,7 +65,7 @@ class Rollout(eqx.Module):
 
 def roll_out(
     model: StepModel,
-    begin: tuple[ModelState, Float[Array, "N D W"]],
+    begin: ModelState,
     nodes: Nodes,
     policy: AffinePolicy,
     limits: ControlLimits | None,
@@ -73,30 +73,23 @@ def roll_out(
 ) -> Rollout:
     """Follow a policy on ``block_state`` for H steps through the model, in one scan.
 
-    It begins with a state and its `control_sensitivity`. Each step's dynamics know the step's own
-    control, since contact within the step depends on it: otherwise a plan would count on a contact
-    that its own braking prevents.
+    Each step's dynamics know the step's own control, since contact within the step depends on it:
+    otherwise a plan would count on a contact that its own braking prevents.
     """
 
-    def step(
-        carry: tuple[ModelState, Float[Array, "N D W"]], stage: AffinePolicy
-    ) -> tuple[tuple[ModelState, Float[Array, "N D W"]], Rollout]:
-        state, response = carry
+    def step(state: ModelState, stage: AffinePolicy) -> tuple[ModelState, Rollout]:
         x = block_state(state.position, state.velocity, node_ids)
         u = stage(x, limits)
-        informed = with_control_displacement(model, state, response, u, nodes)
-        after, response, linear = take_step(model, state, response, u, nodes)
-        displacement = informed.control_displacement
-        assert displacement is not None
+        after, linear = take_step(model, state, u, nodes)
+        displacement = control_displacement(model, state, u, nodes)
         part = jax.tree.map(lambda block: block[node_ids].astype(x.dtype), linear)
         made = Rollout(after.position, after.velocity, after.belief, x, u, displacement, part)
-        return (after, response), made
+        return after, made
 
-    start, _ = begin
-    (last, _), steps = jax.lax.scan(step, begin, policy)
+    last, steps = jax.lax.scan(step, begin, policy)
     return Rollout(
-        position=jnp.concatenate([start.position[None], steps.position]),
-        velocity=jnp.concatenate([start.velocity[None], steps.velocity]),
+        position=jnp.concatenate([begin.position[None], steps.position]),
+        velocity=jnp.concatenate([begin.velocity[None], steps.velocity]),
         beliefs=steps.beliefs,
         x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, node_ids)[None]]),
         controls=steps.controls,

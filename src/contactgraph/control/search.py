@@ -6,7 +6,6 @@ that the cost is about, by the actuated bodies that may touch them, and iLQR pol
 """
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -39,7 +38,6 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     TransitionEdges,
-    control_sensitivity,
     take_step,
 )
 
@@ -177,7 +175,6 @@ class _Scene(eqx.Module):
     speed: float
     """m/s; the top speed of the data."""
     state: ModelState
-    sensitivity: Float[Array, "N G W"]
     nodes: Nodes
     cost: QuadraticCost
     free: FreeMotion
@@ -192,7 +189,6 @@ class _Scene(eqx.Module):
             model=model,
             speed=speed,
             state=state,
-            sensitivity=control_sensitivity(model, state, nodes),
             nodes=nodes,
             cost=cost,
             free=FreeMotion.of(model, state, nodes, speed),
@@ -250,8 +246,7 @@ class _Scene(eqx.Module):
         distance += jnp.sum(jax.nn.relu(self.reach[edge] - 0.5 * features.length))
         free = jax.tree.map(lambda leaf: leaf[hand], self.free)
 
-        def step(carry: tuple[ModelState, Array], _: None) -> tuple[Any, tuple[Array, Array]]:
-            state, sensitivity = carry
+        def step(state: ModelState, _: None) -> tuple[ModelState, tuple[Array, Array]]:
             holding = state.belief.over(None, len(self.nodes.candidate)).holding[held] > 0.5
             wanted, command = approach.wanted(
                 state.position, holding, begin, distance, self.model.dt
@@ -261,12 +256,10 @@ class _Scene(eqx.Module):
             control = free.inverse @ (wanted - drift[: len(wanted)])
             control = control.at[len(control) - len(command) :].set(command)
             control = control if planner.limits is None else planner.limits(control)
-            made = take_step(self.model, state, sensitivity, control, self.nodes)
-            after = made[0]
-            return made[:2], (jnp.stack([after.position, after.velocity], axis=1), control)
+            after = take_step(self.model, state, control, self.nodes)[0]
+            return after, (jnp.stack([after.position, after.velocity], axis=1), control)
 
-        carry = self.state, self.sensitivity
-        _, (moved, controls) = jax.lax.scan(step, carry, None, length=planner.horizon)
+        _, (moved, controls) = jax.lax.scan(step, self.state, None, length=planner.horizon)
         start = jnp.stack([begin, self.state.velocity], axis=1)
         total = self.cost(jnp.concatenate([start[None], moved]), controls)
         return controls, jnp.where(jnp.isfinite(total), total, jnp.inf)

@@ -96,7 +96,9 @@ def _parameters(
     model: ContactDynamics, trajectory: TrajectoryBatch[Array], posterior: ContactBelief
 ) -> SpringMassDamper:
     states = ModelState(trajectory.position, trajectory.velocity, posterior)
-    return jax.vmap(lambda state: model.parameters(state, trajectory.nodes))(states)
+    # No control follows the last state.
+    controls = jnp.concatenate([trajectory.control, jnp.zeros_like(trajectory.control[:1])])
+    return jax.vmap(lambda state, u: model.parameters(state, u, trajectory.nodes))(states, controls)
 
 
 @dataclass(frozen=True)

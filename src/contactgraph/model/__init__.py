@@ -29,6 +29,7 @@ from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
 from contactgraph.model.features import turn_length_of as turn_length_of
 from contactgraph.model.heads import PerDegreeHead as PerDegreeHead
+from contactgraph.model.heads import WithoutContacts as WithoutContacts
 from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff
 from contactgraph.model.interaction_cutoff import interaction_cutoff as interaction_cutoff
 from contactgraph.model.io import PRESETS as PRESETS
@@ -66,21 +67,17 @@ from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import ours as ours
 from contactgraph.model.program_store import note_bindings
 from contactgraph.model.relation_model import relations as relations
-from contactgraph.model.rollout import control_sensitivity as control_sensitivity
+from contactgraph.model.rollout import control_displacement as control_displacement
 from contactgraph.model.rollout import rollout as rollout
 from contactgraph.model.rollout import take_step as take_step
-from contactgraph.model.rollout import with_control_displacement as with_control_displacement
 from contactgraph.model.serialization import module_arrays as module_arrays
 from contactgraph.model.serialization import with_arrays as with_arrays
 from contactgraph.model.types import EncodedGraph as EncodedGraph
 from contactgraph.model.types import LinearDynamics as LinearDynamics
-from contactgraph.model.types import LocalInput as LocalInput
 from contactgraph.model.types import ModelState as ModelState
 from contactgraph.model.types import Nodes as Nodes
 from contactgraph.model.types import SpringMassDamper as SpringMassDamper
-from contactgraph.model.types import Step as Step
 from contactgraph.model.types import StepModel as StepModel
-from contactgraph.model.types import StepStages as StepStages
 from contactgraph.model.types import from_physical as from_physical
 from contactgraph.model.types import scene_nodes as scene_nodes
 from contactgraph.model.types import stack_state as stack_state

@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.free_bodies import ContactMotion
-from contactgraph.model.pins import PinJoints
-from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
+from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
 
 _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
@@ -37,8 +36,8 @@ class ActuatedMotion(eqx.Module):
     """(c + theta dt k) / n, 1/s: the same of a velocity of 1 m/s."""
 
     def stopped_at_reach(
-        self, driven: Float[Array, "N D"], local: LocalInput, step: Step
-    ) -> tuple["ActuatedMotion", Float[Array, "N D"], LocalInput]:
+        self, driven: Float[Array, "N D"], graph: EncodedGraph, *, theta: Array, dt: float
+    ) -> tuple["ActuatedMotion", Float[Array, "N D"], EncodedGraph]:
         """The motion of actuators that stop at the bounds of their reach, what they then add to the
         velocity in the step (``driven`` [m/s] without bounds), and the input with nodes braked.
 
@@ -46,11 +45,11 @@ class ActuatedMotion(eqx.Module):
         comes to the bound in the step, and does not turn back. Contacts meet it braked, so that
         they add no energy.
         """
-        theta, dt, velocity = step.theta, step.dt, local.velocity
-        end = local.position + dt * (velocity + theta * driven)
-        stop = within_reach(end, local)
+        velocity = graph.velocity
+        end = graph.position + dt * (velocity + theta * driven)
+        stop = within_reach(end, graph)
         leaves = end != stop
-        after = velocity + ((stop - local.position) / dt - velocity) / theta
+        after = velocity + ((stop - graph.position) / dt - velocity) / theta
         after = jnp.where((end - stop) * after > 0.0, after, 0.0)
         slower = jnp.where(leaves & (jnp.abs(after) < jnp.abs(velocity)), after, velocity)
         driven = jnp.where(leaves, after - slower, driven)
@@ -59,49 +58,54 @@ class ActuatedMotion(eqx.Module):
             by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
             constant=jnp.where(leaves, driven / dt, self.constant),
         )
-        change = relative_at_edges((slower - velocity)[..., None], local.contact_points)[..., 0]
-        relative = local.contact_points.relative_velocity + change
-        points = dataclasses.replace(local.contact_points, relative_velocity=relative)
-        return stopped, driven, dataclasses.replace(local, velocity=slower, points=points)
+        change = relative_at_edges((slower - velocity)[..., None], graph.contact_points)[..., 0]
+        relative = graph.contact_points.relative_velocity + change
+        points = dataclasses.replace(graph.contact_points, relative_velocity=relative)
+        return stopped, driven, dataclasses.replace(graph, velocity=slower, contact_points=points)
 
     def kept_within_reach(
         self,
         solution: ContactMotion,
         driven: Float[Array, "N D"],
         slots: Float[Array, "N S"],
-        local: LocalInput,
-        braked: LocalInput,
-        step: Step,
+        graph: EncodedGraph,
+        braked: EncodedGraph,
+        *,
+        theta: Array,
+        dt: float,
     ) -> ContactMotion:
-        """The motion of all nodes, also as ``local`` [m/s] is braked, and displaced so that none
+        """The motion of all nodes, also as ``graph`` [m/s] is braked, and displaced so that none
         ends outside its reach: a fast node does not stop at once, and others may push it."""
-        slowing = solution.acceleration + (braked.velocity - local.velocity) / step.dt
-        change = solution.velocity_change + step.dt * slowing
+        slowing = solution.acceleration + (braked.velocity - graph.velocity) / dt
+        change = solution.velocity_change + dt * slowing
         change = change + solution.response @ (slots.T @ driven).reshape(-1)
         displaced = solution.impact_displacement
-        end = local.position + step.dt * (local.velocity + step.theta * change) + displaced
-        displaced = displaced + (within_reach(end, local) - end)
+        end = graph.position + dt * (graph.velocity + theta * change) + displaced
+        displaced = displaced + (within_reach(end, graph) - end)
         return dataclasses.replace(solution, acceleration=slowing, impact_displacement=displaced)
 
     def parameters(
         self,
-        local: LocalInput,
+        graph: EncodedGraph,
         slots: Float[Array, "N S"],
         solution: ContactMotion,
-        step: Step,
+        *,
+        theta: Array,
+        dt: float,
         speed: float,
-        pins: PinJoints | None = None,
     ) -> SpringMassDamper:
         """The solution as a spring-mass-damper of every node, which `ThetaMethod` steps to it.
 
         ``speed``: unit of speeds, m/s.
         """
-        theta, dt, (count, coordinates) = step.theta, step.dt, local.position.shape
+        count, coordinates = graph.position.shape
         change, response = solution.velocity_change, solution.response
         dimension = response.shape[-1] // slots.shape[1]
         by_control = jnp.einsum("ns,ndu->sdu", slots, self.by_control[:, :dimension])
         by_control = by_control.reshape(slots.shape[1] * dimension, by_control.shape[-1])
-        by_control = jnp.pad(by_control, ((0, 0), (0, step.control_size - by_control.shape[-1])))
+        by_control = jnp.pad(
+            by_control, ((0, 0), (0, graph.control.shape[0] - by_control.shape[-1]))
+        )
         constant = (slots.T @ self.constant)[:, :dimension].reshape(-1)
         # What an actuated body carries moves with it: of the servo's spring and damper a node has
         # the share of its response, relative to its own position and velocity.
@@ -121,12 +125,10 @@ class ActuatedMotion(eqx.Module):
             response=(response @ by_control) * undamped[..., None],
             stiffness_rate=undamped * spring / dt**2,
             damping_rate=undamped * damper / dt,
-            equilibrium=local.position + theta * dt * local.velocity,
-            equilibrium_velocity=local.velocity,
+            equilibrium=graph.position + theta * dt * graph.velocity,
+            equilibrium_velocity=graph.velocity,
             impact_displacement=solution.impact_displacement,
             acceleration=(response @ constant + solution.acceleration + change / dt) * undamped,
-            unhindered_response=solution.unhindered_response,
-            pins=pins,
         )
 
 
@@ -136,10 +138,10 @@ def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
     return jax.nn.one_hot(jnp.where(nodes.actuated, index, -1), slots)
 
 
-def within_reach(end: Float[Array, "N D"], local: LocalInput) -> Float[Array, "N D"]:
+def within_reach(end: Float[Array, "N D"], graph: EncodedGraph) -> Float[Array, "N D"]:
     """The place, m, nearest to the ``end`` of a step that is in a node's reach, or not farther
     outside than the node is."""
-    bounds, position = local.nodes.reach, local.position
+    bounds, position = graph.nodes.reach, graph.position
     assert bounds is not None
     turn = ((0, 0), (0, 0), (0, position.shape[1] - bounds.shape[2]))
     bounds = jnp.pad(bounds, turn, constant_values=jnp.nan)
@@ -271,18 +273,3 @@ class Actuation(eqx.Module):
             stiffness=k / inertia,
             damping=by_velocity / inertia,
         )
-
-    def drive(
-        self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        control: Float[Array, " U"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        step: Step,
-        slots: int,
-    ) -> Float[Array, " W"]:
-        """Acceleration of ``slots`` actuated nodes without contacts, m/s^2, node after node."""
-        motion = self(position, velocity, node_type, nodes, step.theta, step.dt)
-        free = motion.by_control @ control[: self.control_size] + motion.constant
-        return (actuated_slots(nodes, slots).T @ free)[:, : self.dimension].ravel()

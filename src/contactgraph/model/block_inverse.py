@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.collision import Geometry
+from contactgraph.model.collision import Joined
 from contactgraph.model.neighbor_list import sum_at_nodes
 
 _UNROLLED_SIZE = 6
@@ -65,7 +65,7 @@ class MassMatrix(eqx.Module):
     """Diagonal part, kg."""
     edge: Float[Array, " E"]
     """Stiffness of each edge, kg."""
-    geometry: Geometry
+    geometry: Joined
 
     @property
     def size(self) -> int:
@@ -92,7 +92,7 @@ class MassMatrixSolution(eqx.Module):
     """Its diagonal; 1/kg."""
 
 
-def relative_at_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Array, "E d c"]:
+def relative_at_edges(x: Float[Array, "N d c"], geometry: Joined) -> Float[Array, "E d c"]:
     """J x: the difference of the edges' second and first nodes, at the points of contact."""
     jacobian = geometry.contact_jacobian
     first, second = x[geometry.edge_index[0]], x[geometry.edge_index[1]]
@@ -103,7 +103,7 @@ def relative_at_edges(x: Float[Array, "N d c"], geometry: Geometry) -> Float[Arr
     )
 
 
-def to_nodes(on_edges: Float[Array, "E d c"], geometry: Geometry, count: int) -> Array:
+def to_nodes(on_edges: Float[Array, "E d c"], geometry: Joined, count: int) -> Array:
     """J^T of values on the edges, [N, d, c]."""
     arriving = jnp.stack([-on_edges, on_edges])
     if geometry.contact_jacobian.shape[-1] > 1:
@@ -132,7 +132,7 @@ def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array
     return jnp.sum(one[:, :, None] * other[None], axis=1)
 
 
-def _dense_jacobian(geometry: Geometry, count: int) -> Float[Array, "Ed Nd"]:
+def _dense_jacobian(geometry: Joined, count: int) -> Float[Array, "Ed Nd"]:
     """J, from all velocities to the relative velocities along all edges."""
     jacobian = geometry.contact_jacobian
     size = jacobian.shape[-1]

@@ -18,9 +18,10 @@ from jaxtyping import Array, Float
 from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.model.body_types import PACE
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.contact_law import PACE, ContactLaw
+from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.motion_likelihood import (
     both_finite,
     check_motion_model,
@@ -119,7 +120,7 @@ def correct_masses(
 
     def velocity(mean: Float[Array, " N"], types: Float[Array, "E K"]) -> Float[Array, "N G"]:
         weighed = nodes._replace(log_mass=mean)
-        return motion_given_types(judge, weighed, before, control, types)[1]
+        return motion_given_types(judge, position, velocity_before, control, weighed, types)[1]
 
     count = len(position)
     # Not the learned ones: an effect wrong in all steps alike would seem to tell a mass exactly.

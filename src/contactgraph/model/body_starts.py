@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.impact_fit import PLANE, Impacts
-from contactgraph.model.contact_law import DECELERATION, PACE, ContactLaw
+from contactgraph.model.body_types import DECELERATION, PACE
+from contactgraph.model.contact_law import ContactLaw
 
 _LEAST, _MOST = 1e-3, 0.99
 """Of bounce and friction."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.shapes import Meeting, meeting
+from contactgraph.model.shapes import Meeting
 
 _MIN_SQUARE = 1e-12
 _RESTING_SPEED = 0.01
@@ -20,11 +20,24 @@ _CHORDS = 8
 0.1 mm away from them."""
 
 
-class Geometry(eqx.Module):
-    """Relative position and motion of the two nodes of every edge, relative to the first."""
+class Joined(eqx.Module):
+    """Places at which two nodes each act on each other."""
 
     edge_index: Int[Array, "2 E"]
     """First and second node of each edge."""
+    contact_jacobian: Float[Array, "2 E d c"]
+    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
+    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
+
+    def incidence(self, count: int) -> Float[Array, "2 E N"]:
+        """1 where an edge has one of `count` nodes as its first or second node, else 0."""
+        node = jnp.arange(count)
+        return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
+
+
+class Geometry(Joined):
+    """Relative position and motion of the two nodes of every edge, relative to the first."""
+
     displacement: Float[Array, "E D"]
     """From the first to the second node, m; between the closest points where one is hinged, and
     see `box_displacement` where one is a box."""
@@ -48,16 +61,8 @@ class Geometry(eqx.Module):
     fraction_after_impact: Float[Array, " E"]
     """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
     nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
-    contact_jacobian: Float[Array, "2 E d c"]
-    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
-    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
     contact_distance: Float[Array, " E"]
     """m, of the two nodes when they touch, centre to centre or to a bar's middle line."""
-
-    def incidence(self, count: int) -> Float[Array, "2 E N"]:
-        """1 where an edge has one of `count` nodes as its first or second node, else 0."""
-        node = jnp.arange(count)
-        return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
 
     def first(self, count: int) -> "Geometry":
         """That of the first ``count`` rows."""
@@ -89,30 +94,24 @@ class Geometry(eqx.Module):
 def geometry(
     position: Float[Array, "N G"],
     velocity: Float[Array, "N G"],
-    edge_index: Int[Array, "2 E"],
+    meeting: Meeting,
+    *,
     dt: float,
-    contact_distance: Float[Array, "*E"] | float,
+    contact_distance: Float[Array, "*C"] | float,
     control_displacement: Float[Array, "N G"] | None = None,
-    anchor: Float[Array, "N D"] | None = None,
     static: Bool[Array, " N"] | None = None,
     speed: float = 1.0,
-    half_size: Float[Array, "N D"] | None = None,
-    shapes: Meeting | None = None,
     coasting: Float[Array, "N G"] | None = None,
 ) -> Geometry:
     """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
 
     Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
     `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
-    `anchor` [m] is where nodes are hinged, NaN where they are not; `static` nodes never move.
-    `speed` [m/s] is the unit of speeds. `half_size` [m] is that of nodes that are boxes. `shapes`
-    tells where bodies meet that have shapes and turn; rows are then its own.
+    `meeting` tells where they meet; `static` nodes never move. `speed` [m/s] is the unit of
+    speeds; `coasting` [m/s] is the velocity after a step in which nothing acts, None: as before it.
     """
-    if shapes is None:
-        shapes = meeting(position, edge_index, anchor, half_size)
-    displacement, jacobian, sliding, edge_index = shapes
-    if static is not None:
-        jacobian = jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
+    displacement, jacobian, sliding, edge_index = meeting
+    jacobian = without_static(jacobian, edge_index, static)
 
     def relative(motion: Float[Array, "N G"]) -> Float[Array, "E D"]:
         at_ends = motion[edge_index]
@@ -169,6 +168,17 @@ def geometry(
         contact_jacobian=jacobian,
         contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
     )
+
+
+def without_static(
+    jacobian: Float[Array, "2 C d c"],
+    edge_index: Int[Array, "2 C"],
+    static: Bool[Array, " N"] | None,
+) -> Float[Array, "2 C d c"]:
+    """`Joined.contact_jacobian`, 0 at the ends of ``static`` nodes. None: there are none."""
+    if static is None:
+        return jacobian
+    return jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
 
 
 def _closest_approach(

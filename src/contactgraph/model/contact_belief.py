@@ -74,6 +74,11 @@ class ContactBelief(eqx.Module):
         return ContactBelief(self.type_probability, self.edge_id, memory)
 
 
+def nothing_active(edge_types: int) -> ContactBelief:
+    """The belief that surely no edge is active: none is listed."""
+    return ContactBelief(jnp.zeros((0, edge_types)), jnp.zeros(0, jnp.int32))
+
+
 def first_holding_type(edge_types: int) -> int:
     """The first of ``edge_types`` types that holds: see `ContactBelief`."""
     return 1 if edge_types < 3 else 2

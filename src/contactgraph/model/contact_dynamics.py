@@ -8,8 +8,9 @@ the active edges), and the linear step. Training encodes all states at once, the
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
@@ -18,47 +19,45 @@ from contactgraph.model.collision import (
     ClosestApproachPrior,
     DistancePrior,
     Geometry,
+    Joined,
     NoCutoff,
     SmoothCutoff,
+    geometry,
+    without_static,
 )
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ContactBelief,
     ContactSensor,
     GumbelSample,
+    nothing_active,
     spread_over_types,
     without_change,
 )
-from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
-from contactgraph.model.local_dynamics import (
-    FreeLinearDynamics,
-    SpringMassDamperDynamics,
-    in_substeps,
-    step_geometry,
-)
+from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.neighbor_list import (
     Edges,
     NeighborList,
     all_pairs,
     edge_count,
+    edge_nodes,
     travel_bound,
 )
-from contactgraph.model.rollout import control_sensitivity, rollout, take_step
+from contactgraph.model.rollout import rollout, take_step
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import (
     EncodedGraph,
     LinearDynamics,
-    LocalInput,
     ModelState,
     Nodes,
     SpringMassDamper,
-    Step,
-    StepStages,
 )
 
+_TOUCHING = 1.02
+"""Contact distance of an edge assumed active, in units of its distance: clearly touching."""
 _CHECKPOINTED_EDGES = 500
 """Edges above which gradients of a rollout recompute each step instead of storing it."""
 
@@ -121,31 +120,44 @@ class ContactDynamics(eqx.Module):
         self,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
         nodes: Nodes,
-        control_displacement: Float[Array, "N D"] | None = None,
-        command: Float[Array, " U"] | None = None,
-        contact_distance: Float[Array, " E"] | None = None,
+        before: ContactBelief,
         meeting: Meeting | None = None,
+        as_touching: bool = False,
     ) -> EncodedGraph:
         """Stage 1: geometry, features and edge embeddings.
 
-        ``control_displacement`` and ``command`` are those of a `ModelState`; ``contact_distance``
-        [m] is each edge's own, None: that of the features. ``meeting`` is that of another graph of
-        these positions, where it is known.
+        ``before`` is the belief in this state: what holds is moved together by the control.
+        ``meeting`` is that of another graph of these positions, where it is known. ``as_touching``
+        takes a contact distance of every edge so that its bodies touch at their closest approach.
         """
         nodes = shaped(nodes, self.features, self.dimension)
-        moved = position, velocity, control_displacement, nodes.anchor, self.dt
-        bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
-        edges = self._edges(position, bound, nodes.mask)
+        node_type = self.features.node_type(nodes, position.dtype)
+        turns = self.features.turns(nodes, position.dtype)
+        every = all_pairs(len(position))
+        if self.neighbor_list is None and meeting is None:
+            meeting = self.features.meeting(nodes, position, every.edge_index)
+        bodies = position, velocity, node_type, nodes, turns
+        displacement = self._control_displacement(*bodies, control, before, meeting)
+        edges = every
+        if self.neighbor_list is not None:
+            moved = position, velocity, displacement, nodes.anchor, self.dt
+            bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
+            edges = self._listed(position, bound, nodes.mask)
+            meeting = self.features.meeting(nodes, position, edges.edge_index)
+        assert meeting is not None
         # A step that exceeds a capacity predicts NaN for every node.
         moving = velocity if edges.edge_id is None else jnp.where(edges.fits, velocity, jnp.nan)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
-        touch = touch if contact_distance is None else contact_distance
-        if meeting is None or self.neighbor_list is not None:
-            meeting = self.features.meeting(nodes, position, edges.edge_index)
-        step = nodes, edges.edge_index, self.dt, touch, meeting, control_displacement
-        points = step_geometry(self.features, self.local_dynamics, (position, moving), *step)
+        bodies = position, moving, node_type, nodes, turns
+        points = self._contact_points(*bodies, self.dt, touch, meeting, displacement)
         edge_geometry = points.first(edges.edge_index.shape[1])
+        if as_touching:
+            closest = _TOUCHING * edge_geometry.closest_approach
+            touch = jnp.maximum(edge_geometry.contact_distance, closest)
+            points = self._contact_points(*bodies, self.dt, touch, meeting, displacement)
+            edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
@@ -153,14 +165,18 @@ class ContactDynamics(eqx.Module):
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         seen = edge_features
         if isinstance(self.inference, TransitionEdges):
-            command = jnp.zeros(self.control_size) if command is None else command
-            last = command[self.control_size - self.inference.commands :]
-            seen = with_commands(edge_features, edge_geometry, nodes, last)
+            command = control[self.control_size - self.inference.commands :]
+            seen = with_commands(edge_features, edge_geometry, nodes, command)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
+        capacity = self.neighbor_list
         return EncodedGraph(
             position=position,
             velocity=velocity,
+            control=control,
             nodes=nodes,
+            node_type=node_type,
+            turns=turns,
+            control_displacement=displacement,
             geometry=edge_geometry,
             contact_points=points,
             meeting=meeting,
@@ -170,22 +186,93 @@ class ContactDynamics(eqx.Module):
             weight=weight,
             embedding=embedding,
             prior=self._prior(edge_geometry, weight),
-            control_displacement=control_displacement,
+            active=jnp.repeat(weight[:, None], self.inference.edge_types - 1, axis=1),
+            group_capacity=None if capacity is None else capacity.group_capacity,
         )
 
-    def encode_state(self, state: ModelState, nodes: Nodes, *given: PyTree) -> EncodedGraph:
-        """`encode` of a state; ``given`` are the arguments after the command."""
-        known = state.control_displacement, state.command, *given
-        return self.encode(state.position, state.velocity, nodes, *known)
+    def _control_displacement(
+        self,
+        position: Array,
+        velocity: Array,
+        node_type: Array,
+        nodes: Nodes,
+        turns: Array,
+        control: Array,
+        before: ContactBelief,
+        meeting: Meeting | None,
+    ) -> Float[Array, "N D"] | None:
+        """`EncodedGraph.control_displacement`; ``meeting``: of all pairs, where it is known."""
+        count, size = position.shape
+        edge_index, candidate = all_pairs(count).edge_index, nodes.candidate
+        if before.edge_id is not None:
+            edge_index, meeting = edge_nodes(before.edge_id, count), None
+            candidate = candidate.at[before.edge_id].get(mode="fill", fill_value=False)
+        if meeting is None and edge_index.shape[1]:
+            meeting = self.features.meeting(nodes, position, edge_index)
+        jacobian = jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.jacobian
+        # The nearest places of all edges come first.
+        jacobian = jacobian[:, : edge_index.shape[1]]
+        static = nodes.static if self.features.types else None
+        held = Joined(edge_index, without_static(jacobian, edge_index, static))
+        holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
+        displacement = self.local_dynamics.control_displacement(
+            position,
+            velocity,
+            control,
+            nodes,
+            node_type,
+            turns,
+            held,
+            holds.astype(position.dtype),
+            dt=self.dt,
+            capacity=None if self.neighbor_list is None else self.neighbor_list.group_capacity,
+        )
+        return None if displacement is None else displacement.astype(velocity.dtype)
+
+    def control_displacement(
+        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    ) -> Float[Array, "N D"] | None:
+        """`EncodedGraph.control_displacement`."""
+        nodes = shaped(nodes, self.features, self.dimension)
+        node_type = self.features.node_type(nodes, state.position.dtype)
+        turns = self.features.turns(nodes, state.position.dtype)
+        bodies = state.position, state.velocity, node_type, nodes, turns
+        return self._control_displacement(*bodies, control, state.belief, None)
+
+    def _contact_points(
+        self,
+        position: Array,
+        velocity: Array,
+        node_type: Array,
+        nodes: Nodes,
+        turns: Array,
+        dt: float,
+        contact_distance: Float[Array, "*E"] | float,
+        meeting: Meeting,
+        displacement: Float[Array, "N D"] | None,
+    ) -> Geometry:
+        """`EncodedGraph.contact_points` of a step of ``dt`` [s]."""
+        if isinstance(contact_distance, Array) and contact_distance.ndim:
+            places, edges = meeting.edge_index.shape[1], max(1, len(contact_distance))
+            contact_distance = jnp.tile(contact_distance, places // edges)
+        return geometry(
+            position,
+            velocity,
+            meeting,
+            dt=dt,
+            contact_distance=contact_distance,
+            control_displacement=displacement,
+            static=nodes.static if self.features.types else None,  # not known without types
+            speed=self.features.speed,
+            coasting=self.local_dynamics.coasting(position, velocity, node_type, nodes, turns, dt),
+        )
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
         return spread_over_types(self.prior(geometry) * weight, self.inference.edge_types)
 
-    def _edges(self, position: Array, bound: Float[Array, " N"], mask: Array) -> Edges:
-        if self.neighbor_list is None:
-            return all_pairs(len(position))
-        assert isinstance(self.cutoff, SmoothCutoff)
+    def _listed(self, position: Array, bound: Float[Array, " N"], mask: Array) -> Edges:
+        assert self.neighbor_list is not None and isinstance(self.cutoff, SmoothCutoff)
         return self.neighbor_list(position[:, : self.dimension], bound, mask, self.cutoff.outer)
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
@@ -211,62 +298,72 @@ class ContactDynamics(eqx.Module):
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None
-    ) -> LocalInput:
+    ) -> EncodedGraph:
         """Stage 3: the graph without the edges that are sampled as inactive."""
-        edge_active = self.sample(belief.type_probability, key)
-        dtype, capacity = graph.position.dtype, self.neighbor_list
-        return LocalInput(
-            position=graph.position,
-            velocity=graph.velocity,
-            node_type=self.features.node_type(graph.nodes, dtype),
-            actuated=graph.nodes.actuated.astype(dtype),
-            node_features=graph.node_features,
-            edge_features=graph.edge_features,
-            weight=edge_active[:, 1:] * graph.weight[:, None],
-            geometry=graph.geometry,
-            points=graph.contact_points,
-            turns=self.features.turns(graph.nodes, dtype),
-            anchor=graph.nodes.anchor,
-            nodes=graph.nodes,
-            control_displacement=graph.control_displacement,
-            group_capacity=None if capacity is None else capacity.group_capacity,
-        )
+        types = self.sample(belief.type_probability, key)
+        return dataclasses.replace(graph, active=types[:, 1:] * graph.weight[:, None])
 
-    def linearize(self, local: LocalInput) -> LinearDynamics:
-        """Stage 4: the linear dynamics of every node, given the active edges."""
-        step = self.dt, self.control_size, self.substeps
-        return in_substeps(self.features, self.local_dynamics, local, *step)
+    def linearize(self, graph: EncodedGraph) -> LinearDynamics:
+        """Stage 4: the linear dynamics of every node about the state and the control, given the
+        active edges.
 
-    def stages(
-        self, state: ModelState, nodes: Nodes, key: PRNGKeyArray | None = None
-    ) -> StepStages:
-        """All stages of one step, with their intermediate results."""
-        graph = self.encode_state(state, nodes)
+        A step of `substeps` parts goes on in each from where those before lead without control.
+        The active edges, and the messages along them, are those of the step. No gradient flows
+        through the beginnings of the parts.
+        """
+        if self.substeps == 1:
+            linear = self.local_dynamics(graph, self.dt)
+        else:
+            linear = self._in_substeps(graph)
+        moved = linear(graph.position, graph.velocity, graph.control)
+        kept = self.local_dynamics.retract(graph, *moved, dt=self.dt)
+        if kept[0] is moved[0] and kept[1] is moved[1]:
+            return linear
+        off = jnp.stack([kept[0] - moved[0], kept[1] - moved[1]], axis=-1)
+        return dataclasses.replace(linear, offset=linear.offset + off)
+
+    def _in_substeps(self, graph: EncodedGraph) -> LinearDynamics:
+        dt = self.dt / self.substeps
+        nodes, still = graph.nodes, jnp.zeros_like(graph.control)
+
+        def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
+            at = done(graph.position, graph.velocity, still)
+            at = self.local_dynamics.retract(graph, *at, dt=dt)
+            # Through all contacts of a rollout, each of which begins within a hair, gradients
+            # overflow.
+            at = jax.lax.stop_gradient(at)
+            meeting = self.features.meeting(nodes, at[0], graph.geometry.edge_index)
+            touch = graph.geometry.contact_distance
+            bodies = *at, graph.node_type, nodes, graph.turns
+            points = self._contact_points(*bodies, dt, touch, meeting, None)
+            there = dataclasses.replace(
+                graph,
+                position=at[0],
+                velocity=at[1],
+                geometry=points.first(len(graph.active)),
+                contact_points=points,
+                control_displacement=None,
+            )
+            return done.then(self.local_dynamics(there, dt)), None
+
+        shapes = jax.eval_shape(lambda graph: self.local_dynamics(graph, dt), graph)
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        first = dataclasses.replace(nothing, A=nothing.A + jnp.eye(2, dtype=nothing.A.dtype))
+        return jax.lax.scan(part, first, length=self.substeps)[0]
+
+    def linear_step(
+        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]:
+        """The next step's dynamics under a control, and the belief that they assume."""
+        graph = self.encode_state(state, control, nodes)
         belief = self.predict_belief(state.belief, graph)
-        local = self.cut_edges(graph, belief, key)
-        return StepStages(graph, belief, local, self.linearize(local))
+        return self.linearize(self.cut_edges(graph, belief)), belief
 
-    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
-        """The next step's dynamics and the belief that they assume, given the intended control."""
-        stages = self.stages(state, nodes)
-        return stages.dynamics, stages.belief
-
-    def drive(
-        self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        control: Float[Array, " U"],
-        nodes: Nodes,
-    ) -> Float[Array, " W"]:
-        """What moves bodies: the accelerations of a `ContactLaw`, else the control."""
-        local = self.local_dynamics
-        if not isinstance(local, SpringMassDamperDynamics) or not isinstance(
-            head := local.head, ContactLaw
-        ):
-            return control
-        step = Step(local.discretization.theta, self.dt, self.control_size)
-        given = control, self.features.node_type(nodes, position.dtype), nodes, step
-        return head.actuation.drive(position, velocity, *given, head.slots)
+    def encode_state(
+        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    ) -> EncodedGraph:
+        """`encode` of a state."""
+        return self.encode(state.position, state.velocity, control, nodes, state.belief)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The geometric prior, with a clock that has not run."""
@@ -278,21 +375,25 @@ class ContactDynamics(eqx.Module):
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
     ) -> ContactBelief:
         """The belief before the first observation: the prior."""
-        return self.prior_belief(self.encode(position, velocity, nodes))
+        still = jnp.zeros(self.control_size, velocity.dtype)
+        before = nothing_active(self.inference.edge_types)
+        return self.prior_belief(self.encode(position, velocity, still, nodes, before))
 
     def step(self, state: ModelState, control: Float[Array, " U"], nodes: Nodes) -> ModelState:
         """The next state under a control [N]."""
-        return take_step(self, state, control_sensitivity(self, state, nodes), control, nodes)[0]
+        return take_step(self, state, control, nodes)[0]
 
     def rollout(self, state: ModelState, controls: Float[Array, "H U"], nodes: Nodes) -> ModelState:
         """All following states, ``[H, …]``; belief h is about the step that led to state h."""
-        first = dataclasses.replace(state, control_displacement=None)
         large = edge_count(self.neighbor_list, nodes.mask.shape[0]) > _CHECKPOINTED_EDGES
-        return rollout(self, first, controls, nodes, checkpoint=large)
+        return rollout(self, state, controls, nodes, checkpoint=large)
 
-    def parameters(self, state: ModelState, nodes: Nodes) -> SpringMassDamper:
+    def parameters(
+        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    ) -> SpringMassDamper:
         """Parameters of the next step, each [N, D]; `TypeError` where the dynamics have none."""
         if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
             raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
-        local = self.stages(state, nodes).local
-        return self.local_dynamics.parameters(local, self.dt, self.control_size)
+        graph = self.encode_state(state, control, nodes)
+        graph = self.cut_edges(graph, self.predict_belief(state.belief, graph))
+        return self.local_dynamics.parameters(graph, self.dt)

@@ -8,33 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
+from contactgraph.model.body_types import PACE, BodyTypes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.convex import Patch
 from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.pins import with_pins, with_pins_held
+from contactgraph.model.pins import pin_joints, with_pins_held
 from contactgraph.model.planes import (
     on_planes,
     plane_contacts,
     plane_geometry,
-    rests_on_planes,
     weighed_down,
 )
 from contactgraph.model.polygons import as_near
-from contactgraph.model.types import LocalInput, SpringMassDamper, Step
+from contactgraph.model.types import EncodedGraph, SpringMassDamper
 
-PACE = 5.0
-"""Scale of each type's numbers in their parameters, which learn faster than weights by this."""
-DECELERATION = 10.0
-"""Unit of decelerations by the ground, in units of speed a second."""
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""
 _LEAST_FRICTION = 1e-3
-_PLANE_LEARNED = 0.1
-"""Learned part of the distance from planes, as a share of what the data tell."""
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `length`: before a touch, and from which one acts."""
 _NEAREST = 0.02
@@ -44,7 +37,7 @@ _SERVO_MASS = 100.0
 """Start of the mass of what a servo moves: it pushes, and hardly gives way."""
 
 
-class ContactLaw(eqx.Module):
+class ContactLaw(BodyTypes):
     """Parameters of every node from types of bodies, their actuation, and the active edges.
 
     Each node type has a mass, a damper and a deceleration by the ground, and shares in bounce and
@@ -52,38 +45,17 @@ class ContactLaw(eqx.Module):
     spring. A *hold* couples bodies in all directions, a *touch* where they meet, with friction.
     """
 
-    log_mass: Float[Array, " types"]
-    """Of the mass in kg, in units of `PACE`; motion determines masses up to a common factor."""
-    damper_raw: Float[Array, " types"]
-    """Of the damper to the ground, 1/s: softplus(`PACE` x - 6)."""
-    deceleration_raw: Float[Array, " types"]
-    """Of the deceleration by the ground, in units of `DECELERATION`: softplus(`PACE` x - 6)."""
     bounce_raw: Float[Array, " types+1"]
     """A touch bounces with sigmoid(`PACE` (x_i + x_j) - 3). The last is that of planes."""
     friction_raw: Float[Array, " types+1"]
     """A touch has the coefficient of friction softplus(`PACE` (x_i + x_j) - 4)."""
-    log_inertia: Float[Array, "types ..."] | None
-    """Of squared radii of gyration by `turn_length`, in space about axes, over `PACE`; or none."""
-    log_spread: Float[Array, " types"] | None
-    """Of the spread of log masses in a type, in units of `PACE`, or none."""
-    plane_distance: Float[Array, " types"]
-    """m, of a node from a plane that it touches, by the data; a tenth of it is learned."""
-    plane_raw: Float[Array, " types"]
     edge: eqx.nn.MLP
-    actuation: Actuation
     width: int = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
     slots: int = eqx.field(static=True)
     averaged: bool = eqx.field(static=True)
-    length: float = eqx.field(static=True)
     varying_mass: bool = eqx.field(static=True)
     identified: bool = eqx.field(static=True)
-    rough: bool = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
-    turn_length: float | None = eqx.field(static=True)
-    told: tuple[str, ...] = eqx.field(static=True)
-    """Parameters that trajectories told directly, and that are not learned: gradients through
-    impacts are noise, and lead away from them."""
 
     def __init__(
         self,
@@ -124,31 +96,6 @@ class ContactLaw(eqx.Module):
         self.turn_length, self.varying_mass, self.told = turn_length, varying_mass, told
         self.rough = rough
 
-    def slowing(self, node_type: Float[Array, "N types"]) -> tuple[Array, Array]:
-        """Damper, 1/s, and deceleration, m/s^2, of every node by the ground."""
-        damper = jax.nn.softplus(PACE * node_type @ self._learned("damper_raw") - 6.0)
-        if not self.rough:
-            return damper, 0.0 * damper
-        slowed = jax.nn.softplus(PACE * node_type @ self._learned("deceleration_raw") - 6.0)
-        return damper, DECELERATION * self.speed * slowed
-
-    def mass(
-        self, node_type: Float[Array, "N types"], log_ratio: Float[Array, " N"] | float
-    ) -> Float[Array, " N"]:
-        """kg, with the logarithm of that in units of the type's own; see `log_mass`."""
-        log_mass = self.log_mass
-        if self.log_spread is not None:  # learned by what the motion of each body tells
-            log_mass = jax.lax.stop_gradient(log_mass)
-        return jnp.exp(PACE * node_type @ log_mass + log_ratio)
-
-    def mass_ratio(self, node_type: Float[Array, "N types"], size: int) -> Float[Array, "N G"]:
-        """The mass of every coordinate, in units of that of the body."""
-        ratio = jnp.ones((len(node_type), size))
-        if self.log_inertia is None:
-            return ratio
-        inertia = jnp.exp(PACE * node_type @ self.log_inertia).reshape(len(node_type), -1)
-        return ratio.at[:, size - inertia.shape[1] :].multiply(inertia)
-
     def laws(
         self,
         node_type: Float[Array, "N types"],
@@ -166,73 +113,52 @@ class ContactLaw(eqx.Module):
         bounce = MAX_COUPLING * jax.nn.sigmoid(both(self._learned("bounce_raw")) - 3.0)
         return bounce, jax.nn.softplus(both(self._learned("friction_raw")) - 4.0)
 
-    def _learned(self, name: str) -> Float[Array, " types"]:
-        """The parameter, without a gradient where `told` has it."""
-        raw = getattr(self, name)
-        return jax.lax.stop_gradient(raw) if name in self.told else raw
-
-    def coasting(
-        self,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        turns: Float[Array, " N"],
-        dt: float,
-    ) -> Float[Array, "N G"]:
-        """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; with
-        weight as given, but in space, where outlines tell which bodies lie on a plane."""
-        damper, slowing = self.slowing(node_type)
-        if nodes.gravity is not None:
-            if nodes.planes is None or velocity.shape[1] != 6:
-                return velocity
-            at = position, velocity, self._plane_distance(node_type), nodes, dt
-            on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
-            damper, slowing = on_ground * damper, on_ground * slowing
-        energy = jnp.sum(self.mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
-        speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
-        left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
-        return jax.lax.stop_gradient(left)[:, None] * velocity
-
     def __call__(
         self,
-        local: LocalInput,
+        graph: EncodedGraph,
         embedding: Float[Array, "N W"],
         message: Float[Array, "active 2 E W"],
-        step: Step,
+        *,
+        theta: Float[Array, ""],
+        dt: float,
     ) -> SpringMassDamper:
-        """Parameters of every node at one step."""
-        theta, dt, nodes, node_type = step.theta, step.dt, local.nodes, local.node_type
-        velocity, (count, coordinates) = local.velocity, local.position.shape
+        """Parameters of every node at one step of ``dt`` [s] with the implicitness ``theta``."""
+        nodes, node_type = graph.nodes, graph.node_type
+        velocity, (count, coordinates) = graph.velocity, graph.position.shape
         dimension = self.actuation.dimension
-        motion = self.actuation(local.position, velocity, node_type, nodes, theta, dt)
-        own = 0.0 if nodes.log_mass is None else nodes.log_mass
-        mass = self.mass(node_type, own) * motion.inertia
-        mass = mass[:, None] * self.mass_ratio(node_type, coordinates)
+        motion = self.actuation(graph.position, velocity, node_type, nodes, theta, dt)
+        mass = self._coordinate_mass(nodes, node_type, motion, coordinates)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
-        # By the control in the step, as far as it is known, and until contacts hinder it.
-        displaced, braked = jnp.zeros_like(velocity), local
-        if local.control_displacement is not None:
-            displaced = local.control_displacement / (theta * dt)
+        # By the control in the step, until contacts hinder it.
+        displaced, braked = jnp.zeros_like(velocity), graph
+        if graph.control_displacement is not None:
+            displaced = graph.control_displacement / (theta * dt)
         if nodes.reach is not None:
-            motion, displaced, braked = motion.stopped_at_reach(displaced, local, step)
-        contacts, known = self._contacts(braked, message, step), theta * displaced
-        contacts, pins = with_pins(contacts, braked, known, mass, self.turn_length, dt)
-        lifted, capacity = local.actuated, local.group_capacity
+            motion, displaced, braked = motion.stopped_at_reach(
+                displaced, graph, theta=theta, dt=dt
+            )
+        contacts = self._contacts(braked, message, theta=theta, dt=dt)
+        pins = pin_joints(nodes, graph.turns, mass, self.turn_length)
+        if pins is not None:
+            motion_until = dt * (braked.velocity + theta * displaced)
+            contacts = contacts.and_also(
+                pins.contacts(graph.position, braked.velocity, motion_until)
+            )
+        lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
-            holding = with_pins_held(contacts.holding[: len(local.weight)], pins, local.geometry)
-            lifted = lifted_fraction(lifted, holding, local.geometry, capacity)
+            holding = with_pins_held(contacts.holding[: len(graph.active)], pins, graph.geometry)
+            lifted = lifted_fraction(lifted, holding, graph.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
-            falling = lifted * (1.0 - local.actuated) if nodes.planes is None else nodes.passive
+            falling = lifted * (1.0 - nodes.actuated) if nodes.planes is None else nodes.passive
             gravity = jnp.pad(nodes.gravity, (0, coordinates - dimension))
             on_ground, falls = 1.0 - lifted, falling[:, None] * gravity
         edges = len(contacts.damper)
         if nodes.planes is not None:
             # What is held goes with the hand, and falls on no plane.
             meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
-            planes = self._plane_contacts(braked, meeting, step)
+            planes = self._plane_contacts(braked, meeting, theta=theta, dt=dt)
             contacts = contacts.and_also(planes)
             on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
         damper, slowing = (on_ground * each for each in self.slowing(node_type))
@@ -246,7 +172,7 @@ class ContactLaw(eqx.Module):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            patch=Patch.of(nodes.outlines, nodes.gravity, local.position, self.turn_length),
+            patch=Patch.of(nodes.outlines, nodes.gravity, graph.position, self.turn_length),
         )
         if self.identified:
             contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
@@ -255,29 +181,37 @@ class ContactLaw(eqx.Module):
             contacts = contacts.pushing(bodies, dt, capacity, on_plane)
         solution = contacts.solve(bodies, dt, capacity, self.rough)
         if nodes.reach is not None:
-            solution = motion.kept_within_reach(solution, displaced, slots, local, braked, step)
-        parameters = motion.parameters(local, slots, solution, step, self.speed, pins)
-        if local.anchor is None:
+            solution = motion.kept_within_reach(
+                solution, displaced, slots, graph, braked, theta=theta, dt=dt
+            )
+        parameters = motion.parameters(graph, slots, solution, theta=theta, dt=dt, speed=self.speed)
+        if nodes.anchor is None:
             return parameters
         return with_hinge_springs(
             parameters,
-            local,
-            contacts.coupling[: len(local.weight)],
-            step,
+            graph,
+            contacts.coupling[: len(graph.active)],
             solution.velocity_change,
+            theta=theta,
+            dt=dt,
         )
 
     def _contacts(
-        self, local: LocalInput, message: Float[Array, "active 2 E W"], step: Step
+        self,
+        graph: EncodedGraph,
+        message: Float[Array, "active 2 E W"],
+        *,
+        theta: Array,
+        dt: float,
     ) -> Contacts:
         """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
-        geometry, weight = local.contact_points, local.weight.T
+        geometry, weight = graph.contact_points, graph.active.T
         points = geometry.edge_index.shape[1] // max(1, weight.shape[1])
         if points > 1:
             out = jnp.tile(out, (1, points, 1))
-            near = as_near(geometry, local.geometry, _NEAREST * self.length)
+            near = as_near(geometry, graph.geometry, _NEAREST * self.length)
             weight = jnp.tile(weight, (1, points)) * near
         touch = jnp.zeros_like(weight[0])
         if len(weight) > 1:
@@ -285,7 +219,7 @@ class ContactLaw(eqx.Module):
             early = geometry.approach > (tolerance := _EARLY * self.length)
             early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            nearer = geometry.approach + weighed_down(geometry, local.nodes, step.dt)
+            nearer = geometry.approach + weighed_down(geometry, graph.nodes, dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
@@ -294,7 +228,7 @@ class ContactLaw(eqx.Module):
         each = each.at[:2].set(1.0 - (not self.identified) * _SOFTEST * (1.0 - each[:2]))
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
-        elastic, friction = self.laws(local.node_type, *geometry.edge_index)
+        elastic, friction = self.laws(graph.node_type, *geometry.edge_index)
         touching = touch / jnp.maximum(jnp.sum(weight, axis=0), _SMALL)
         bounce = touch * elastic
         # A contact that bounces is over in an instant.
@@ -310,32 +244,27 @@ class ContactLaw(eqx.Module):
             rest_length=rest,
             touching=touching,
             # Only a rigid bond begins by an impact; a soft one acts all through a step.
-            displacing_fraction=self._displacing(geometry, step) * (1.0 - sum(weight[2:])),
+            displacing_fraction=self._displacing(geometry, theta) * (1.0 - sum(weight[2:])),
             acting=1.0 - touching * geometry.time_of_impact * self.averaged,
             bounce=bounce,
             friction=friction,
-            until_impact=step.theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
+            until_impact=theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
         )
 
     def _plane_contacts(
-        self, local: LocalInput, driven: Float[Array, "N D"], step: Step
+        self, graph: EncodedGraph, driven: Float[Array, "N D"], *, theta: Array, dt: float
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        motion = step.dt * (local.velocity + driven)
-        distance = self._plane_distance(local.node_type)
-        at = local.position, local.velocity, motion, distance, local.nodes
-        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
+        motion = dt * (graph.velocity + driven)
+        distance = self._plane_distance(graph.node_type)
+        at = graph.position, graph.velocity, motion, distance, graph.nodes
+        shape = () if self.turn_length is None else (graph.turns, self.turn_length, self.length)
         geometry = plane_geometry(*at, *shape)
-        laws = self.laws(local.node_type, geometry.edge_index[0])
-        displacing = self._displacing(geometry, step)
+        laws = self.laws(graph.node_type, geometry.edge_index[0])
+        displacing = self._displacing(geometry, theta)
         return plane_contacts(geometry, _ONE_SIDED * self.length, laws, displacing, self.averaged)
 
-    def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
-        # Bodies that rest do not tell how much farther a plane might be.
-        part = 1.0 + _PLANE_LEARNED * jnp.tanh(PACE * self.plane_raw)
-        return node_type @ (jax.lax.stop_gradient(self.plane_distance) * part)
-
-    def _displacing(self, geometry: Geometry, step: Step) -> Float[Array, " C"]:
+    def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.
-        return (1.0 - self.averaged) * (geometry.fraction_after_impact - step.theta)
+        return (1.0 - self.averaged) * (geometry.fraction_after_impact - theta)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.model.block_inverse import (
     MassMatrix,
+    MassMatrixSolution,
     relative_at_edges,
     solve_block_diagonal,
     solve_dense,
@@ -89,16 +90,14 @@ class Contacts(eqx.Module):
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
         mobility, mobility_across = self._mobility(mass)
         elastic = self.bounce / ((1.0 - self.bounce) * mobility)
-        whole = self.geometry.along(jnp.ones_like(self.damper))
         rebounds = [self.displacing_fraction * elastic, self.acting * elastic]
-        first, rebound, held = _solve_each(
+        first, rebound = _solve_each(
             mass,
-            [stiffness, elastic, holding * stiffness],
-            [slides, normal, whole],
+            [stiffness, elastic],
+            [slides, normal],
             [
                 [self._impulse(slides, count, dt), bodies.push],
                 [_pulled(each, normal, count) for each in rebounds],
-                [bodies.driving],
             ],
             capacity,
         )
@@ -126,7 +125,6 @@ class Contacts(eqx.Module):
             impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
             acceleration=solved.parts[2][..., 0],
             response=solved.parts[2][..., 1:],
-            unhindered_response=held.parts[0],
             own_share=solved.diagonal * mass,
             ground_share=solved.diagonal * ground,
         )
@@ -142,14 +140,11 @@ class Contacts(eqx.Module):
         driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
         driven += self._left(1.0 - self.acting, driven, sliding, mass)
         solved = _solve(mass + ground, stiffness, sliding, [slowing, displacing, driven], capacity)
-        holding = (1.0 - self.touching) * stiffness
-        held = _solve(mass, holding, sliding, [bodies.driving], capacity)
         return ContactMotion(
             velocity_change=-solved.parts[0][..., 0],
             impact_displacement=-dt * jnp.sum(solved.parts[1], axis=-1),
             acceleration=solved.parts[2][..., 0],
             response=solved.parts[2][..., 1:],
-            unhindered_response=held.parts[0],
             own_share=solved.diagonal * mass,
             ground_share=solved.diagonal * ground,
         )
@@ -316,12 +311,18 @@ def _solve(
     capacity: int | None,
 ) -> _Solved:
     matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
-    if capacity is None:
-        solved = solve_dense(matrix, right)
-    else:
-        solved = solve_block_diagonal(matrix, right, capacity)
+    found = solved(matrix, right, capacity)
     splits = np.cumsum([part.shape[-1] for part in vectors])[:-1].tolist()
-    return _Solved(jnp.split(solved.solution, splits, axis=-1), solved.diagonal)
+    return _Solved(jnp.split(found.solution, splits, axis=-1), found.diagonal)
+
+
+def solved(
+    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: int | None
+) -> MassMatrixSolution:
+    """By groups of at most ``capacity`` coupled nodes; None: all at once."""
+    if capacity is None:
+        return solve_dense(matrix, vectors)
+    return solve_block_diagonal(matrix, vectors, capacity)
 
 
 def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N G 1"]:

@@ -11,7 +11,7 @@ from contactgraph.data.trajectory_batch import type_id
 from contactgraph.model.collision import Geometry
 from contactgraph.model.pins import apart_from_pins
 from contactgraph.model.polygons import polygon_meeting
-from contactgraph.model.shapes import Meeting
+from contactgraph.model.shapes import Meeting, meeting
 from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
@@ -106,10 +106,10 @@ class InvariantFeatures(eqx.Module):
 
     def meeting(
         self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
-    ) -> Meeting | None:
-        """The `polygon_meeting` of nodes `shaped`; None where no body turns."""
+    ) -> Meeting:
+        """Where nodes `shaped` meet: the `polygon_meeting` of bodies that turn."""
         if self.turn_length is None or nodes.outlines is None:
-            return None
+            return meeting(position, edge_index, nodes.anchor, nodes.half_size)
         turns = self.turns(nodes, position.dtype)
         units = self.turn_length, self.length, self.margin
         return polygon_meeting(nodes.outlines, position, turns, edge_index, *units)
@@ -187,9 +187,9 @@ class AbsoluteFeatures(eqx.Module):
 
     def meeting(
         self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
-    ) -> Meeting | None:
-        """None: bodies are round."""
-        return None
+    ) -> Meeting:
+        """Where round bodies meet, and bars."""
+        return meeting(position, edge_index, nodes.anchor, nodes.half_size)
 
     @property
     def node_types(self) -> int:

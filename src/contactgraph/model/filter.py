@@ -23,7 +23,6 @@ from contactgraph.model.features import AbsoluteFeatures, turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.rollout import control_sensitivity, with_control_displacement
 from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel
 
 
@@ -204,22 +203,18 @@ def filter_trajectory(
     raises.
     """
     sensor, nodes = sensor.as_current, trajectory.nodes
-    Carry = tuple[FilterState, Float[Array, "N D W"]]
 
     def follow(
-        carry: Carry, step: tuple[Array, Array, Array, Array]
-    ) -> tuple[Carry, FilteredTrajectory]:
-        (before, sensitivity), (position, velocity, contact, control) = carry, step
+        before: FilterState, step: tuple[Array, Array, Array, Array]
+    ) -> tuple[FilterState, FilteredTrajectory]:
+        position, velocity, contact, control = step
         observed, made = (position, velocity), before.control
         after = update(model, before, observed, contact, made, nodes, sensor, motion_noise)
         state, heavy = after.before, with_masses(nodes, after.masses)
-        informed = with_control_displacement(model, state, sensitivity, control, heavy)
-        linear, prior = model.linear_step(informed, heavy)
+        linear, prior = model.linear_step(state, control, heavy)
         prior = cast_like(prior, before.predicted)
-        sensitivity = linear.control_sensitivity.astype(sensitivity.dtype)
         followed = FilteredTrajectory(state.belief, prior, linear, after.masses)
-        after = dataclasses.replace(after, predicted=prior, control=control)
-        return (after, sensitivity), followed
+        return dataclasses.replace(after, predicted=prior, control=control), followed
 
     # No control follows the last state.
     control = jnp.concatenate([trajectory.control, jnp.zeros_like(trajectory.control[:1])])
@@ -229,7 +224,5 @@ def filter_trajectory(
         contact = jnp.full(shape, jnp.nan, trajectory.position.dtype)
     position, velocity = trajectory.position[0], trajectory.velocity[0]
     first = first_filter_state(model, nodes, position, velocity, control[0])
-    begin = ModelState(position, velocity, first.predicted)
-    unknown = control_sensitivity(model, begin, nodes)
     observed = trajectory.position, trajectory.velocity, contact, control
-    return jax.lax.scan(follow, (first, unknown), observed)[1]
+    return jax.lax.scan(follow, first, observed)[1]

@@ -20,8 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from contactgraph.model.heads import WithoutContacts
 from contactgraph.model.local_dynamics import ThetaMethod
-from contactgraph.model.types import LinearDynamics, LocalInput, SpringMassDamper, own_component
+from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper, own_component
 
 _SOFT = 0.1
 """Factor on the first outputs of a law's network: relations start weak, and must earn more."""
@@ -81,7 +82,7 @@ class ExpectedTypes(eqx.Module):
         return type_probability
 
 
-class RelationDynamics(eqx.Module):
+class RelationDynamics(WithoutContacts):
     """One linear step of every node under the force laws of its edges; see the module.
 
     ``length`` [m] is the unit of distances. The standard deviation of a predicted velocity is
@@ -121,18 +122,18 @@ class RelationDynamics(eqx.Module):
         possible = jnp.mean(jnp.sum(effects**2, axis=-1), axis=-1)
         return jnp.sqrt(constant**2 + jnp.exp(2.0 * _PACE * self.log_share) * possible)
 
-    def accelerations(self, local: LocalInput, dt: float) -> Float[Array, "2 E active D"]:
+    def accelerations(self, graph: EncodedGraph, dt: float) -> Float[Array, "2 E active D"]:
         """m/s^2 of the first and the second node of every edge, by each active type if it acts."""
-        middle = local.position + _HALF * dt * local.velocity
-        first, second = local.geometry.edge_index
+        middle = graph.position + _HALF * dt * graph.velocity
+        first, second = graph.geometry.edge_index
         displacement = middle[second] - middle[first]
         squared = jnp.sum(displacement**2, axis=-1)
         distance = jnp.sqrt(squared + (1e-3 * self.length) ** 2) / self.length
         laws = [jax.vmap(law)(distance) for law in self.message_passing.types]
-        kind, share = local.node_type, self.message_passing.share
+        kind, share = graph.node_type, self.message_passing.share
         of_first = jnp.einsum("ars,er,es->ea", share, kind[first], kind[second])
         of_second = jnp.einsum("ars,er,es->ea", share, kind[second], kind[first])
-        nodes = local.nodes
+        nodes = graph.nodes
         exists = nodes.candidate & nodes.mask[first] & nodes.mask[second]
         law = jnp.where(exists[:, None], jnp.stack(laws, -1), 0.0)
         toward = law[..., None] * displacement[:, None, :]
@@ -163,19 +164,19 @@ class RelationDynamics(eqx.Module):
         peak = jnp.maximum(jnp.stack(peaks) * jnp.max(share, axis=(1, 2)), _LEAST_PEAK)
         return jnp.stack(shares) * jnp.stack(sizes, -1) / peak
 
-    def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
+    def parameters(self, graph: EncodedGraph, dt: float) -> SpringMassDamper:
         """The parameters of every node at one step of `dt` [s], each [N, D]."""
-        dimension = local.position.shape[-1]
-        acting = self.accelerations(local, dt) * local.weight[None, :, :, None]
-        total = jnp.zeros_like(local.position)
-        total = total.at[local.geometry.edge_index].add(jnp.sum(acting, axis=2))
-        still, mobile = jnp.zeros_like(local.position), local.nodes.mobile[:, None]
-        damping = local.node_type @ jnp.exp(_PACE * self.log_damping)
+        dimension = graph.position.shape[-1]
+        acting = self.accelerations(graph, dt) * graph.active[None, :, :, None]
+        total = jnp.zeros_like(graph.position)
+        total = total.at[graph.geometry.edge_index].add(jnp.sum(acting, axis=2))
+        still, mobile = jnp.zeros_like(graph.position), graph.nodes.mobile[:, None]
+        damping = graph.node_type @ jnp.exp(_PACE * self.log_damping)
         response = jnp.repeat(
-            (local.actuated * (local.node_type @ self.gain))[:, None], dimension, 1
+            (graph.nodes.actuated * (graph.node_type @ self.gain))[:, None], dimension, 1
         )
         return SpringMassDamper(
-            response=own_component(response, control_size),
+            response=own_component(response, graph.control.shape[0]),
             stiffness_rate=still,
             damping_rate=jnp.broadcast_to(damping[:, None], still.shape),
             equilibrium=still,
@@ -184,30 +185,30 @@ class RelationDynamics(eqx.Module):
             acceleration=jnp.where(mobile, total, 0.0),
         )
 
-    def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
+    def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
         """The linear step of every node."""
-        return self.discretization(self.parameters(local, dt, control_size), dt)
+        return self.discretization(self.parameters(graph, dt), dt)
 
     def evidence(
-        self, local: LocalInput, dt: float, control: Float[Array, " U"], after: Float[Array, "N D"]
+        self, graph: EncodedGraph, dt: float, after: Float[Array, "N D"]
     ) -> tuple[Float[Array, "N D E*active"], Float[Array, "N D"]]:
         """m/s: what each type of each edge adds to every velocity, and what all together added.
 
         The latter is the velocity ``after`` the step less that without any edge.
         """
-        free = dataclasses.replace(local, weight=jnp.zeros_like(local.weight))
-        alone = self(free, dt, control.shape[0])(local.position, local.velocity, control)[1]
-        mobile = local.nodes.mobile[:, None]
-        return self._velocity_effects(local, dt), jnp.where(mobile, after - alone, 0.0)
+        free = dataclasses.replace(graph, active=jnp.zeros_like(graph.active))
+        alone = self(free, dt)(graph.position, graph.velocity, graph.control)[1]
+        mobile = graph.nodes.mobile[:, None]
+        return self._velocity_effects(graph, dt), jnp.where(mobile, after - alone, 0.0)
 
-    def _velocity_effects(self, local: LocalInput, dt: float) -> Float[Array, "N D E*active"]:
-        acting = self.accelerations(local, dt)
-        first, second = local.geometry.edge_index
+    def _velocity_effects(self, graph: EncodedGraph, dt: float) -> Float[Array, "N D E*active"]:
+        acting = self.accelerations(graph, dt)
+        first, second = graph.geometry.edge_index
         _, edges, active, dimension = acting.shape
         edge = jnp.arange(edges)
-        effects = jnp.zeros((len(local.position), edges, active, dimension), acting.dtype)
+        effects = jnp.zeros((len(graph.position), edges, active, dimension), acting.dtype)
         effects = effects.at[first, edge].add(acting[0]).at[second, edge].add(acting[1])
-        effects = jnp.moveaxis(effects, -1, 1).reshape(len(local.position), dimension, -1)
-        damping = local.node_type @ jnp.exp(_PACE * self.log_damping)
+        effects = jnp.moveaxis(effects, -1, 1).reshape(len(graph.position), dimension, -1)
+        damping = graph.node_type @ jnp.exp(_PACE * self.log_damping)
         scale = dt / (1.0 + _HALF * dt * damping)
-        return jnp.where(local.nodes.mobile, scale, 0.0)[:, None, None] * effects
+        return jnp.where(graph.nodes.mobile, scale, 0.0)[:, None, None] * effects

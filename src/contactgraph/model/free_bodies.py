@@ -55,8 +55,6 @@ class ContactMotion(eqx.Module):
     """By weight, m/s^2."""
     response: Float[Array, "N G W"]
     """Share of the acceleration of each free actuated node and axis."""
-    unhindered_response: Float[Array, "N G W"]
-    """The same, without edges that only touch."""
     own_share: Float[Array, "N G"]
     """Share of its own momentum that a node keeps, in (0, 1]."""
     ground_share: Float[Array, "N G"]

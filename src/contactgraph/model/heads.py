@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.model.shapes import hinge_constraint
-from contactgraph.model.types import LocalInput, SpringMassDamper, Step, own_component
+from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper, own_component
 
 _MIN_SHARE = 1e-6
 
@@ -26,22 +26,24 @@ def coupling_starts(active_types: int) -> np.ndarray:
 
 def with_hinge_springs(
     parameters: SpringMassDamper,
-    local: LocalInput,
+    graph: EncodedGraph,
     coupling: Float[Array, " E"],
-    step: Step,
     change: Float[Array, "N D"],
+    *,
+    theta: Array,
+    dt: float,
 ) -> SpringMassDamper:
     """The parameters with the springs that keep bodies turning about their hinges; ``change`` [m/s]
     is that of their velocities by contacts."""
-    assert local.anchor is not None and parameters.acceleration is not None
-    theta, dt = step.theta, step.dt
+    anchor = graph.nodes.anchor
+    assert anchor is not None and parameters.acceleration is not None
     constraint = hinge_constraint(
-        local.anchor,
-        local.position,
-        local.velocity + change,
+        anchor,
+        graph.position,
+        graph.velocity + change,
         coupling,
-        local.geometry.edge_index,
-        local.geometry.relative_velocity,
+        graph.geometry.edge_index,
+        graph.geometry.relative_velocity,
     )
     own = parameters.stiffness_rate
     before = 1.0 + theta * (dt * parameters.damping_rate) + theta**2 * dt**2 * own
@@ -55,17 +57,48 @@ def with_hinge_springs(
         / jnp.maximum(stiffness + own, _MIN_SHARE),
         acceleration=(acceleration := parameters.acceleration * (after / before)),
     )
-    moved = local.position + theta * dt * local.velocity
+    moved = graph.position + theta * dt * graph.velocity
     pull = dt * (acceleration - stiffness * (moved - constraint.center))
     # The position after the step without control; see `ThetaMethod`.
     displacement = sprung.impact_displacement
-    position = local.position + dt * (local.velocity + theta * pull / after) + displacement
+    position = graph.position + dt * (graph.velocity + theta * pull / after) + displacement
     return dataclasses.replace(
         sprung, impact_displacement=displacement + constraint.projection(position)
     )
 
 
-class PerDegreeHead(eqx.Module):
+class WithoutContacts(eqx.Module):
+    """What local dynamics, or their heads, answer that know of no contact within a step."""
+
+    def coasting(
+        self,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        node_type: Float[Array, "N types"],
+        nodes: Nodes,
+        turns: Float[Array, " N"],
+        dt: float,
+    ) -> Float[Array, "N G"]:
+        """Velocity of every node, m/s, after a step of ``dt`` [s] in which nothing acts on it."""
+        return velocity
+
+    def control_displacement(self, *given: object, **step: object) -> None:
+        """See `ContactLaw.control_displacement`; None: it is left out of account."""
+
+    def retract(
+        self,
+        graph: EncodedGraph,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        *,
+        dt: float,
+        theta: Array | None = None,
+    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+        """See `ContactLaw.retract`: as they are."""
+        return position, velocity
+
+
+class PerDegreeHead(WithoutContacts):
     """The paper's head: free 1/m, k, c and equilibrium of every node and degree of freedom.
 
     The equilibrium is relative to the node's hinge, or, where it has none, to its own position.
@@ -83,18 +116,20 @@ class PerDegreeHead(eqx.Module):
 
     def __call__(
         self,
-        local: LocalInput,
+        graph: EncodedGraph,
         embedding: Float[Array, "N W"],
         message: Float[Array, "active 2 E W"],
-        step: Step,
+        *,
+        theta: Array,
+        dt: float,
     ) -> SpringMassDamper:
         """Parameters of every node at one step."""
         out = jax.vmap(self.node)(embedding).reshape(-1, 4, self.dimension)
-        origin = local.position
-        if local.anchor is not None:
-            origin = jnp.where(jnp.isfinite(local.anchor), local.anchor, origin)
+        origin, anchor = graph.position, graph.nodes.anchor
+        if anchor is not None:
+            origin = jnp.where(jnp.isfinite(anchor), anchor, origin)
         return SpringMassDamper(
-            response=own_component(5.0 * jax.nn.sigmoid(out[:, 0]), step.control_size),
+            response=own_component(5.0 * jax.nn.sigmoid(out[:, 0]), graph.control.shape[0]),
             stiffness_rate=5.0 * jax.nn.sigmoid(out[:, 1]),
             damping_rate=5.0 * jax.nn.sigmoid(out[:, 2]),
             equilibrium=origin + out[:, 3],

@@ -1,89 +1,17 @@
 """Local dynamics: from the cut graph to one linear step of every node, by the theta method."""
 
-import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import PerDegreeHead
+from contactgraph.model.heads import PerDegreeHead, WithoutContacts
 from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.shapes import Meeting
-from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
-
-
-def step_geometry(
-    features: InvariantFeatures | AbsoluteFeatures,
-    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
-    state: tuple[Float[Array, "N G"], Float[Array, "N G"]],
-    nodes: Nodes,
-    edge_index: Int[Array, "2 E"],
-    dt: float,
-    contact_distance: Float[Array, "*E"] | float,
-    meeting: Meeting | None,
-    control_displacement: Float[Array, "N G"] | None = None,
-) -> Geometry:
-    """The places at which the nodes of edges meet in a step of ``dt`` [s] from a ``state`` of
-    positions [m] and velocities [m/s]: see `EncodedGraph.contact_points`."""
-    position, velocity = state
-    if meeting is not None:
-        count = meeting.edge_index.shape[1] // max(1, edge_index.shape[1])
-        each = jnp.broadcast_to(contact_distance, edge_index.shape[1:])
-        contact_distance = jnp.tile(each, count)
-    static = nodes.static if features.types else None  # not known without types
-    known = control_displacement, nodes.anchor, static, features.speed, nodes.half_size
-    head, coasting = getattr(dynamics, "head", None), None
-    if isinstance(head, ContactLaw):
-        types = features.node_type(nodes, velocity.dtype)
-        turns = features.turns(nodes, velocity.dtype)
-        coasting = head.coasting(position, velocity, types, nodes, turns, dt)
-    at = position, velocity, edge_index, dt, contact_distance
-    return geometry(*at, *known, meeting, coasting)
-
-
-def in_substeps(
-    features: InvariantFeatures | AbsoluteFeatures,
-    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
-    local: LocalInput,
-    dt: float,
-    control_size: int,
-    count: int,
-) -> LinearDynamics:
-    """A step of ``dt`` [s] in ``count`` parts, each from where those before lead without control.
-
-    The active edges, and the messages along them, are those of the step. No gradient flows through
-    the beginnings of the parts.
-    """
-    if count == 1:
-        return dynamics(local, dt, control_size)
-    edges, dt = local.geometry, dt / count
-
-    def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
-        at = done(local.position, local.velocity, jnp.zeros(done.B.shape[-1], done.B.dtype))
-        # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
-        at = jax.lax.stop_gradient(at)
-        meeting = features.meeting(local.nodes, at[0], edges.edge_index)
-        part = edges.edge_index, dt, edges.contact_distance, meeting
-        found = step_geometry(features, dynamics, at, local.nodes, *part)
-        there = dataclasses.replace(
-            local,
-            position=at[0],
-            velocity=at[1],
-            geometry=found.first(len(local.weight)),
-            points=found,
-            control_displacement=None,
-        )
-        return done.then(dynamics(there, dt, control_size)), None
-
-    shapes = jax.eval_shape(lambda local: dynamics(local, dt, control_size), local)
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    first = dataclasses.replace(nothing, A=nothing.A + jnp.eye(2, dtype=nothing.A.dtype))
-    return jax.lax.scan(part, first, length=count)[0]
+from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper
 
 
 class ThetaMethod(eqx.Module):
@@ -135,9 +63,7 @@ class ThetaMethod(eqx.Module):
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
         B = jnp.stack([theta * dt * B2, B2], -2)
         offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
-        free = parameters.unhindered_response
-        unhindered = None if free is None else theta * dt**2 * free
-        return LinearDynamics(A, B, offset, unhindered, pins=parameters.pins)
+        return LinearDynamics(A, B, offset)
 
 
 class SpringMassDamperDynamics(eqx.Module):
@@ -147,24 +73,38 @@ class SpringMassDamperDynamics(eqx.Module):
     head: ContactLaw | PerDegreeHead
     discretization: ThetaMethod
 
-    def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
+    def parameters(self, graph: EncodedGraph, dt: float) -> SpringMassDamper:
         """The parameters of every node at one step of `dt` [s], each [N, D]."""
         embedding, message = self.message_passing(
-            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
+            graph.node_features, graph.edge_features, graph.active, graph.geometry.edge_index
         )
-        step = Step(self.discretization.theta, dt, control_size)
-        return self.head(local, embedding, message, step)
+        return self.head(graph, embedding, message, theta=self.discretization.theta, dt=dt)
 
-    def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
+    def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
         """The linear step of every node."""
-        linear = self.discretization(self.parameters(local, dt, control_size), dt)
-        if local.position.shape[1] != 6:
-            return linear
-        turn_length = getattr(self.head, "turn_length", None)  # of bodies that turn in space
-        return dataclasses.replace(linear, turn_length=turn_length)
+        return self.discretization(self.parameters(graph, dt), dt)
+
+    def coasting(self, *step: Any) -> Float[Array, "N G"]:
+        """See `ContactLaw.coasting`."""
+        return self.head.coasting(*step)
+
+    def control_displacement(self, *step: Any, **further: Any) -> Float[Array, "N G"] | None:
+        """See `ContactLaw.control_displacement`."""
+        return self.head.control_displacement(*step, **further, theta=self.discretization.theta)
+
+    def retract(
+        self,
+        graph: EncodedGraph,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        *,
+        dt: float,
+    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+        """See `ContactLaw.retract`."""
+        return self.head.retract(graph, position, velocity, theta=self.discretization.theta, dt=dt)
 
 
-class FreeLinearDynamics(eqx.Module):
+class FreeLinearDynamics(WithoutContacts):
     """Messages over the active edges, then free matrices for every node (the paper's Full-AB).
 
     Nothing keeps these stable; they serve as a comparison.
@@ -189,10 +129,10 @@ class FreeLinearDynamics(eqx.Module):
         self.dimension = dimension
         self.control_size = control_size
 
-    def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
+    def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
         """The linear step of every node: the identity plus the network's output times dt."""
         embedding, _ = self.message_passing(
-            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
+            graph.node_features, graph.edge_features, graph.active, graph.geometry.edge_index
         )
         out = jax.vmap(self.head)(embedding)
         out = out.reshape(-1, self.dimension, 2, 3 + self.control_size)

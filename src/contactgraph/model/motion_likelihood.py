@@ -16,7 +16,6 @@ millimetres off would forget a contact as soon as nothing accelerates. Contacts 
 motion are remembered by the model alone.
 """
 
-import dataclasses
 from abc import abstractmethod
 from functools import partial
 
@@ -37,15 +36,12 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.rollout import control_sensitivity, drive, with_control_displacement
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _CONSIDERED = 8
 """Edges considered in a step, nearest first: rarely do more bodies make contact at once, and the
 cost of a control step must not grow with the square of the number of bodies."""
-_TOUCHING = 1.02
-"""Contact distance of an edge assumed active, in units of its distance: clearly touching."""
 _MIN_PROBABILITY = 1e-6
 _LEAST_WEIGHT = 0.5
 """Of the cutoff, from which an edge is considered: bodies far beyond contact have none."""
@@ -163,16 +159,14 @@ def contact_log_likelihood_ratio(
     ``before.belief`` is about the step that led to ``before``, corrected by all that was known
     then; ``motion_log_odds`` are of that step, too (zeros: no evidence by motion yet).
     """
-    sensitivity = control_sensitivity(model, before, nodes)
-    state = with_control_displacement(model, before, sensitivity, control, nodes)
-    graph = model.encode_state(state, nodes)
-    predicted, joint = model.predict_joint(state.belief, graph)
+    graph = model.encode_state(before, control, nodes)
+    predicted, joint = model.predict_joint(before.belief, graph)
     stay = jnp.exp(-model.dt / noise.time_constant)
     if predicted.memory is None:  # else the inference itself remembers
         remembered = jnp.minimum(1.0 - jnp.exp(-motion_log_odds), before.belief.probability)
         predicted = _at_least(predicted, before.belief, stay * graph.weight * remembered)
         joint = without_change(predicted, noise.error_floor)
-    ratios = edge_log_ratios(model, graph, state, joint, control, observed, noise)
+    ratios = edge_log_ratios(model, graph, joint, observed, noise)
     ratio = jnp.max(ratios[:, :, 1:], axis=(1, 2)).astype(motion_log_odds.dtype)
     return MotionEvidence(
         predicted=predicted,
@@ -185,24 +179,21 @@ def contact_log_likelihood_ratio(
 def edge_log_ratios(
     model: ContactDynamics,
     graph: EncodedGraph,
-    state: ModelState,
     joint: Float[Array, "E K K"],
-    control: Float[Array, " U"],
     observed: Motion,
     noise: MotionNoise,
     types: Float[Array, "E K"] | None = None,
 ) -> Float[Array, "E K K"]:
     """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
-    Each is less that without the edge. ``graph`` is of ``state``, from which the step begins, and
+    Each is less that without the edge. ``graph`` is of the state from which the step begins, and
     ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. One edge is
     judged after the other; those not judged yet have ``types``, where given, else the most probable
     ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
     """
-
-    noise = noise.at(state.velocity, model.dt)
-    given = model, graph.nodes, state, control
-    moved = partial(motion_given_types, *given, meeting=graph.meeting)
+    noise = noise.at(graph.velocity, model.dt)
+    step = graph.position, graph.velocity, graph.control, graph.nodes
+    moved = partial(motion_given_types, model, *step, meeting=graph.meeting)
     edge_types = joint.shape[-1]
     if len(joint) == 0:  # a single body
         return jnp.zeros(joint.shape, graph.weight.dtype)
@@ -236,27 +227,24 @@ def edge_log_ratios(
 
 def motion_given_types(
     model: ContactDynamics,
-    nodes: Nodes,
-    state: ModelState,
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
     control: Float[Array, " U"],
+    nodes: Nodes,
     types: Float[Array, "E K"],
     meeting: Meeting | None = None,
 ) -> Motion:
     """Where a step would lead under a control [N], if all its edges had these one-hot types;
-    ``meeting`` as of `ContactDynamics.encode`."""
-    driving = drive(model, state.position, state.velocity, control, nodes)
+    ``meeting`` as of `ContactDynamics.encode`.
 
-    def once(displacement: Array, _: None) -> tuple[Array, Motion]:
-        informed = dataclasses.replace(state, control_displacement=displacement)
-        touching = _as_if_touching(model, informed, nodes, meeting)
-        linear = model.linearize(model.cut_edges(touching, ContactBelief(types)))
-        displacement = jnp.sum(linear.control_sensitivity * driving, axis=-1)
-        moved = linear(state.position, state.velocity, control)
-        return displacement.astype(state.position.dtype), moved
-
-    # The control moves what is held, which the types decide; the first round holds nothing.
-    motions = jax.lax.scan(once, jnp.zeros_like(state.position), length=2)[1]
-    return jax.tree.map(lambda each: each[-1], motions)
+    A network that knows the contact distance does not let an edge act beyond it, even one that is
+    active with certainty; predictions with and without it would then be the same motion. So bodies
+    touch here at their closest approach. The likelihood is that of the motion if the edge does act;
+    how probable that is at its distance is part of the belief.
+    """
+    belief = ContactBelief(types)
+    graph = model.encode(position, velocity, control, nodes, belief, meeting, as_touching=True)
+    return model.linearize(model.cut_edges(graph, belief))(position, velocity, control)
 
 
 def _at_least(
@@ -270,22 +258,6 @@ def _at_least(
     active = jnp.where(jnp.sum(active, axis=-1, keepdims=True) < least[:, None], kept, active)
     inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
     return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
-
-
-def _as_if_touching(
-    model: ContactDynamics, state: ModelState, nodes: Nodes, meeting: Meeting | None
-) -> EncodedGraph:
-    """The same step as if bodies touched at their closest approach.
-
-    A network that knows the contact distance does not let an edge act beyond it, even one that is
-    active with certainty; both predictions would then be the same motion. The likelihood is that of
-    the motion if the edge does act; how probable that is at its distance is part of the belief.
-    """
-    graph = model.encode_state(state, nodes, None, meeting)
-    touch = jnp.maximum(
-        graph.geometry.contact_distance, _TOUCHING * graph.geometry.closest_approach
-    )
-    return model.encode_state(state, nodes, touch, graph.meeting)
 
 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:

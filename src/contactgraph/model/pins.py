@@ -1,7 +1,5 @@
 """Pins: joints of two bodies that let them turn, as contacts and as a projection after the step."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.data.graph import edge_id
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.block_inverse import dense_inverse, product
-from contactgraph.model.collision import Geometry
+from contactgraph.model.collision import Geometry, Joined
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.rotations import levers, turned
 
@@ -138,26 +136,28 @@ class PinJoints(eqx.Module):
         return change.reshape(count, size)
 
 
-def with_pins(
-    contacts: Contacts,
-    local: Any,
-    driven: Float[Array, "N G"],
-    mass: Float[Array, "N G"],
-    turn_length: float | None,
-    dt: float,
-) -> tuple[Contacts, PinJoints | None]:
-    """The contacts, then the pins of nodes of this ``mass`` [kg], and these, None where there are
-    none. ``local`` is a `LocalInput`; ``driven`` m/s is what the control adds to the mean velocity.
-    """
-    nodes, turns, velocity = local.nodes, local.turns, local.velocity
-    if nodes.pins is None or turns is None or turn_length is None:
-        return contacts, None
+def pin_joints(
+    nodes: Nodes, turns: Float[Array, " N"], mass: Float[Array, "N G"], turn_length: float | None
+) -> PinJoints | None:
+    """The pins of nodes of this ``mass`` [kg]; None where there are none."""
+    if nodes.pins is None or turn_length is None:
+        return None
     assert nodes.pin_points is not None
     inverse = jnp.where(nodes.mobile[:, None], 1.0 / mass, 0.0)
-    points = nodes.pin_points.astype(mass.dtype)
-    pins = PinJoints(nodes.pins, points, inverse, turns, turn_length)
-    found = pins.contacts(local.position, velocity, dt * (velocity + driven))
-    return contacts.and_also(found), pins
+    return PinJoints(nodes.pins, nodes.pin_points.astype(mass.dtype), inverse, turns, turn_length)
+
+
+def joined_with_pins(
+    held: Joined, holds: Float[Array, " C"], pins: PinJoints, position: Float[Array, "N G"]
+) -> tuple[Joined, Float[Array, " C+P"]]:
+    """What ``holds`` (1, else 0), then the pins."""
+    _, jacobian = pins._relative(position)
+    exists = pins.exists.astype(holds.dtype)
+    if not len(holds):
+        return Joined(pins.nodes.T, jacobian), exists
+    edge_index = jnp.concatenate([held.edge_index, pins.nodes.T], axis=1)
+    rows = Joined(edge_index, jnp.concatenate([held.contact_jacobian, jacobian], axis=1))
+    return rows, jnp.concatenate([holds, exists])
 
 
 def with_pins_held(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.collision import DistancePrior, NoCutoff
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.motion_likelihood import TrajectoryModel
@@ -46,15 +46,15 @@ class RelationModel(TrajectoryModel):
         self,
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
+        control: Float[Array, " U"],
         nodes: Nodes,
-        control_displacement: Float[Array, "N D"] | None = None,
-        command: Float[Array, " U"] | None = None,
-        contact_distance: Float[Array, " E"] | None = None,
+        before: ContactBelief,
         meeting: Meeting | None = None,
+        as_touching: bool = False,
     ) -> EncodedGraph:
         """As of all models, with a last part of the embedding: 1 for active types within range."""
-        given = control_displacement, command, contact_distance, meeting
-        graph = super().encode(position, velocity, nodes, *given)
+        step = position, velocity, control, nodes, before
+        graph = super().encode(*step, meeting, as_touching)
         types = self.features.node_type(nodes, position.dtype)
         between = graph.geometry.distance, graph.geometry.edge_index, types
         acts = jnp.max(self.local_dynamics.strength(*between), axis=0) > _WEAK
@@ -121,9 +121,10 @@ class RelationModel(TrajectoryModel):
     def _evidence(
         self, nodes: Nodes, position: Array, velocity: Array, control: Array, after: Array
     ) -> tuple[Float[Array, "E K+active"], Float[Array, "N D Z"], Float[Array, "N D"]]:
-        graph = self.encode(position, velocity, nodes)
-        local = self.cut_edges(graph, ContactBelief(graph.prior))
-        evidence = self.local_dynamics.evidence(local, self.dt, control, after)
+        nothing = nothing_active(self.inference.edge_types)
+        graph = self.encode(position, velocity, control, nodes, nothing)
+        graph = self.cut_edges(graph, ContactBelief(graph.prior))
+        evidence = self.local_dynamics.evidence(graph, self.dt, after)
         return graph.embedding, *evidence
 
 

@@ -12,8 +12,6 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.pins import PinJoints
-from contactgraph.model.rotations import stepped_turns
 from contactgraph.model.shapes import Meeting
 
 _MIN_INVERSE_MASS = 1e-6
@@ -28,11 +26,6 @@ class ModelState(eqx.Module):
     """m/s"""
     belief: ContactBelief
     """About the step that led to this state; the next belief is predicted from it."""
-    control_displacement: Float[Array, "N D"] | None = None
-    """m; how far the next step's control alone moves each node, on which it depends whether bodies
-    touch within the step. None: not known."""
-    command: Float[Array, " U"] | None = None
-    """The next step's control, of which inference sees what moves nothing. None: not known, 0."""
 
 
 def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
@@ -53,18 +46,6 @@ class LinearDynamics(eqx.Module):
     A: Float[Array, "*T N D 2 2"]
     B: Float[Array, "*T N D 2 U"]
     offset: Float[Array, "*T N D 2"]
-    unhindered: Float[Array, "*T N D W"] | None = None
-    """Displacement of each node by what drives it, if no touch hindered it: see
-    `ContactDynamics.drive`. None: it is driven by the control, and nothing hinders it."""
-    turn_length: float | None = eqx.field(static=True, default=None)
-    """m; the unit of turns in space, which do not add up: see `composed`. None: all else does."""
-    pins: PinJoints | None = None
-    """Joints that the step keeps together. None: there are none."""
-
-    @property
-    def control_sensitivity(self) -> Float[Array, "*T N D W"]:
-        """Displacement of each node by what drives it, without edges that only touch."""
-        return self.B[..., 0, :] if self.unhindered is None else self.unhindered
 
     def __call__(
         self,
@@ -75,10 +56,7 @@ class LinearDynamics(eqx.Module):
         """Next position [m] and velocity [m/s]."""
         moved = jnp.sum(self.A * jnp.stack([position, velocity], axis=-1)[..., None, :], axis=-1)
         moved = moved + jnp.sum(self.B * control, axis=-1) + self.offset
-        after, rate = moved[..., 0], moved[..., 1]
-        if self.turn_length is not None:
-            after = stepped_turns(position, after, self.turn_length)
-        return (after, rate) if self.pins is None else self.pins.closed(after, rate)
+        return moved[..., 0], moved[..., 1]
 
     def then(self, after: "LinearDynamics") -> "LinearDynamics":
         """This step and the one after it, as one."""
@@ -86,9 +64,6 @@ class LinearDynamics(eqx.Module):
             A=jnp.sum(after.A[..., None] * self.A[..., None, :, :], axis=-2),
             B=jnp.sum(after.A[..., None] * self.B[..., None, :, :], axis=-2) + after.B,
             offset=jnp.sum(after.A * self.offset[..., None, :], axis=-1) + after.offset,
-            unhindered=jax.tree.map(jnp.add, self.unhindered, after.unhindered),
-            turn_length=after.turn_length,
-            pins=after.pins,
         )
 
     def stacked(self) -> tuple[Array, Array, Array]:
@@ -139,10 +114,6 @@ class SpringMassDamper(eqx.Module):
     """m; by an impact within the step."""
     acceleration: Float[Array, "*T N D"] | None = None
     """a, m/s^2, by constant forces such as weight. None: there are none."""
-    unhindered_response: Float[Array, "*T N D W"] | None = None
-    """As `response`, of what drives nodes, without edges that only touch, and undamped. None: there
-    are none."""
-    pins: PinJoints | None = None
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:
@@ -195,18 +166,26 @@ def own_component(
 
 
 class EncodedGraph(eqx.Module):
-    """One step's state and graph before inference: everything that is independent of the belief."""
+    """One step's state, control and graph, before inference and, with cut edges, after it."""
 
     position: Float[Array, "N D"]
     """m"""
     velocity: Float[Array, "N D"]
     """m/s"""
+    control: Float[Array, " U"]
     nodes: Nodes
+    node_type: Float[Array, "N node_types"]
+    """One-hot."""
+    turns: Float[Array, " N"]
+    """1 for bodies that turn, else 0."""
+    control_displacement: Float[Array, "N D"] | None
+    """m; how far the control alone moves each node, together with what it holds. None: left out of
+    account."""
     geometry: Geometry
     contact_points: Geometry
     """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
-    meeting: Meeting | None
-    """Those places as the positions tell them, of bodies with outlines."""
+    meeting: Meeting
+    """Those places as the positions tell them."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
@@ -216,73 +195,24 @@ class EncodedGraph(eqx.Module):
     embedding: Float[Array, "E M"]
     prior: Float[Array, "E K"]
     """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
-    control_displacement: Float[Array, "N D"] | None
-    """m; see `ModelState`."""
-
-
-class LocalInput(eqx.Module):
-    """One step's state, and the graph after its inactive edges are cut."""
-
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    node_type: Float[Array, "N node_types"]
-    """One-hot."""
-    actuated: Float[Array, " N"]
-    """1 where the control acts on the node itself, else 0."""
-    node_features: Float[Array, "N F"]
-    edge_features: Float[Array, "2 E G"]
-    weight: Float[Array, "E active"]
-    """Weight of each edge for each active type, in [0, 1]; 0 where it does not exist."""
-    geometry: Geometry
-    anchor: Float[Array, "N D"] | None
-    """m; where a node is hinged, NaN where it is not. None: no node is."""
-    nodes: Nodes
-    control_displacement: Float[Array, "N D"] | None
-    """m; see `ModelState`."""
-    points: Geometry | None = None
-    """See `contact_points`. None: those of `geometry`."""
-    turns: Float[Array, " N"] | None = None
-    """1 for bodies that turn, else 0."""
-    group_capacity: int | None = eqx.field(static=True, default=None)
+    active: Float[Array, "E active"]
+    """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
+    group_capacity: int | None = eqx.field(static=True)
     """Most nodes that are coupled, directly or through others. None: no limit."""
-
-    @property
-    def contact_points(self) -> Geometry:
-        """See `EncodedGraph`."""
-        return self.geometry if self.points is None else self.points
-
-
-class StepStages(eqx.Module):
-    """The intermediate results of one step, in their order."""
-
-    graph: EncodedGraph
-    belief: ContactBelief
-    """Predicted, about this step."""
-    local: LocalInput
-    dynamics: LinearDynamics
-
-
-class Step(eqx.Module):
-    """The step that a head makes parameters for."""
-
-    theta: Float[Array, ""]
-    """Implicitness of the `ThetaMethod` that will discretize the parameters."""
-    dt: float = eqx.field(static=True)
-    """s"""
-    control_size: int = eqx.field(static=True)
 
 
 class StepModel(Protocol):
     """A locally linear model of one step, which any planner or evaluation can use.
 
-    Its linearisation depends on the control only through `ModelState.control_displacement`. It must
-    be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled functions.
+    It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
+    functions.
     """
 
-    def linear_step(self, state: ModelState, nodes: Nodes) -> tuple[LinearDynamics, ContactBelief]:
-        """The linear dynamics of the next step, and the belief that they assume."""
+    def linear_step(
+        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    ) -> tuple[LinearDynamics, ContactBelief]:
+        """The dynamics of the next step, linear about this state and control, and the belief that
+        they assume."""
         ...
 
     def initial_belief(

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -211,4 +212,5 @@ def build_stage(make: Callable[[], Stage], built: Callable[[BuiltStage], None]) 
 
 @eqx.filter_jit
 def _inverse_mass(model: ContactDynamics, state: ModelState, nodes: Nodes) -> Float[Array, "N D"]:
-    return model.parameters(state, nodes).inverse_mass
+    control = jnp.zeros(model.control_size, state.velocity.dtype)
+    return model.parameters(state, control, nodes).inverse_mass

@@ -74,16 +74,16 @@ def dynamics_loss(
 ) -> LossTerms:
     """One-step terms over a batch of windows, given the likeliest types."""
     steps = WindowSteps(model, windows, devices)
-    graph = steps.encode(judged.displacement, judged.meeting)
+    graph = steps.encode(ContactBelief(judged.before), judged.meeting)
 
     def compared(
-        graph: EncodedGraph, types: Array, control: Array, after: Motion, unhindered: Motion
+        graph: EncodedGraph, types: Array, after: Motion, unhindered: Motion
     ) -> tuple[Array, Array]:
         dynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-        error = squared_state_error(model, dynamics, graph, control, after)
+        error = squared_state_error(model, dynamics, graph, after)
         if model.prediction_noise is None:
             return error, jnp.zeros_like(error)
-        predicted = dynamics(graph.position, graph.velocity, control)
+        predicted = dynamics(graph.position, graph.velocity, graph.control)
         residual = jax.lax.stop_gradient(predicted), unhindered, after
         incidence = jnp.sum(graph.geometry.incidence(len(graph.position)), axis=0).T
         near = incidence @ (graph.weight > 0).astype(graph.weight.dtype) > 0
@@ -92,8 +92,7 @@ def dynamics_loss(
         )
         return error, jnp.where(near, score, jnp.nan)
 
-    given = windows.control, steps.after, judged.unhindered
-    error, score = steps.each(compared, graph, judged.types, *given)
+    error, score = steps.each(compared, graph, judged.types, steps.after, judged.unhindered)
     nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
     zero = jnp.zeros(())
     noise = masked_mean(score, nodes & jnp.isfinite(score))
@@ -114,23 +113,20 @@ def given_rollout(
     model: ContactDynamics,
     window: Window,
     types: Float[Array, "L E K"],
-    displacement: Float[Array, "L N D"] | None,
+    before: Float[Array, "L E K"],
 ) -> Motion:
-    """[L, N, D] m and m/s; all states of a window from its first one, with the types of every step.
+    """[L, N, D] m and m/s; all states of a window from its first one, with these one-hot types in
+    every step and ``before`` it."""
 
-    ``displacement`` [m]: of each node by each step's control alone.
-    """
-
-    def step(state: Motion, inputs: tuple[Array, Array, Array | None]) -> tuple[Motion, Motion]:
-        control, types, displacement = inputs
-        # The types are given, so that no inference needs the commands.
-        graph = model.encode(*state, window.nodes, displacement)
+    def step(state: Motion, inputs: tuple[Array, Array, Array]) -> tuple[Motion, Motion]:
+        control, types, before = inputs
+        graph = model.encode(*state, control, window.nodes, ContactBelief(before))
         linear: LinearDynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
         after = linear(*state, control)
         return after, after
 
     first = window.position[0], window.velocity[0]
-    states: Motion = jax.lax.scan(step, first, (window.control, types, displacement))[1]
+    states: Motion = jax.lax.scan(step, first, (window.control, types, before))[1]
     return states
 
 
@@ -139,11 +135,11 @@ def given_rollout_loss(
 ) -> Float[Array, ""]:
     """`LossTerms.rollout` when the types of every step are given."""
 
-    def error(window: Window, types: Array, displacement: Array) -> Float[Array, "L N"]:
-        states = given_rollout(model, window, types, displacement)
+    def error(window: Window, types: Array, before: Array) -> Float[Array, "L N"]:
+        states = given_rollout(model, window, types, before)
         return rollout_error(model, *states, window)
 
-    found = jax.vmap(error)(windows, judged.types, judged.displacement)
+    found = jax.vmap(error)(windows, judged.types, judged.before)
     return masked_mean(found, jnp.broadcast_to(windows.learned[:, None], found.shape))
 
 
@@ -229,7 +225,7 @@ def _denial_score(
 def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) -> EncodedGraph:
     """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
     learned = dataclasses.replace(without_gradient(model), inference=model.inference)
-    return WindowSteps(learned, windows, 1).encode(judged.displacement, judged.meeting)
+    return WindowSteps(learned, windows, 1).encode(ContactBelief(judged.before), judged.meeting)
 
 
 def predict_and_score(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.windows import moving_bodies
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, TransitionEdges
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
@@ -181,9 +181,12 @@ def _ranges(
     """Least and largest message, and edge feature, over the near pairs of each recorded state."""
     batch, states = windows.position.shape[:2]
 
+    still = jnp.zeros(windows.control.shape[-1], windows.control.dtype)
+    nothing = nothing_active(model.inference.edge_types)
+
     def of_state(window: Array, position: Array, velocity: Array) -> tuple[Array, Array]:
         nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
-        graph = model.encode(position, velocity, nodes)
+        graph = model.encode(position, velocity, still, nodes, nothing)
         near = graph.weight > 0
         inputs = graph.node_features, graph.edge_features, near.astype(position.dtype)
         if isinstance(model.inference, TransitionEdges):  # its embedding is the message itself

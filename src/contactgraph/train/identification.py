@@ -96,7 +96,7 @@ def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B
     def errors(window: Window) -> Float[Array, "L N G"]:
         shape = _STEPS, edges, model.inference.edge_types
         touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
-        _, velocity = given_rollout(model, window, touching, None)
+        _, velocity = given_rollout(model, window, touching, touching)
         return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)
 
     return chunked_vmap(errors, (windows,), edges)

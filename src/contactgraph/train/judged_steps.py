@@ -19,7 +19,6 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.rollout import no_sensitivity, with_control_displacement
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState
 from contactgraph.train.batch import WholeTrajectories, Window, draw_by
@@ -42,8 +41,8 @@ _MOST_WRONG, _LATEST = 0.1, 3
 class JudgedSteps(eqx.Module):
     """What the motion of every step of a batch of windows says, without gradient."""
 
-    displacement: Float[Array, "B L N D"]
-    """m; displacement of each node by each step's control alone."""
+    before: Float[Array, "B L E K"]
+    """`types` of the step before each step, or likely ones."""
     log_ratio: Float[Array, "B L E K K"]
     """`edge_log_ratios`."""
     types: Float[Array, "B L E K"]
@@ -51,7 +50,7 @@ class JudgedSteps(eqx.Module):
     unhindered: Motion
     """[B, L, N, D] m and m/s; where each step would lead without edges."""
     meeting: Meeting | None
-    """[B, L, ...] `EncodedGraph.meeting`."""
+    """[B, L, ...] `EncodedGraph.meeting`. None: to be found again."""
     masses: MassBelief | None = None
     """[B, N] by the motion of all steps. None: bodies of a type weigh alike."""
 
@@ -134,27 +133,22 @@ def with_window_masses(windows: Window, masses: MassBelief | None) -> Window:
 def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> JudgedSteps:
     steps, noise = WindowSteps(model, windows, devices), motion_noise(model)
 
-    def judge(graph: EncodedGraph, control: Array, after: Motion) -> Array:
+    def judge(graph: EncodedGraph, after: Motion) -> Array:
         prior = model.prior_belief(graph)
-        state = ModelState(graph.position, graph.velocity, prior)
         joint = without_change(prior, noise.error_floor)
-        first = held_where_near(prior)
-        return edge_log_ratios(model, graph, state, joint, control, after, noise, first)
+        return edge_log_ratios(model, graph, joint, after, noise, held_where_near(prior))
 
-    def linear(graph: EncodedGraph, types: Array, control: Array) -> tuple[Array, Motion]:
-        dynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-        moved = dynamics(graph.position, graph.velocity, control)
-        return dynamics.control_sensitivity, moved
+    def apart(graph: EncodedGraph) -> Motion:
+        inactive = jnp.zeros_like(graph.prior).at[:, 0].set(1.0)
+        linear = model.linearize(model.cut_edges(graph, ContactBelief(inactive)))
+        return linear(graph.position, graph.velocity, graph.control)
 
-    free = steps.encode(None)
-    inactive = jnp.zeros_like(free.prior).at[..., 0].set(1.0)
-    sensitivity, unhindered = steps.each(linear, free, inactive, windows.control)
-    graph = steps.encode(steps.displacement(sensitivity), free.meeting)
-    ratio = steps.each(judge, graph, windows.control, steps.after)
+    graph = steps.encode(None)
+    unhindered = steps.each(apart, graph)
+    ratio = steps.each(judge, graph, steps.after)
     types = jax.vmap(likeliest_types)(graph.prior, ratio)
-    sensitivity, _ = steps.each(linear, graph, types, windows.control)
-    displacement = steps.displacement(sensitivity)
-    return JudgedSteps(displacement, ratio, types, unhindered, free.meeting)
+    before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
+    return JudgedSteps(before, ratio, types, unhindered, graph.meeting)
 
 
 class JudgedTrajectories(eqx.Module):
@@ -240,17 +234,14 @@ def predict_unobserved(
     on such rollouts, by the recorded motion. Bodies that did not touch in it were free in that
     step, wherever the rollout has them.
     """
-    recorded = WindowSteps(model, trajectories, 1).encode(judged.displacement, judged.meeting)
+    steps = WindowSteps(model, trajectories, 1)
+    recorded = steps.encode(ContactBelief(judged.before), judged.meeting)
     touch = jnp.log(jnp.clip((1.0 - recorded.prior[..., 0]) / _APART, _LEAST, 1.0))
 
-    def along(window: Window, ratio: Array, observed: Array) -> tuple[Array, ...]:
-        Carry = tuple[ModelState, Float[Array, "N D U"]]
-
-        def step(carry: Carry, inputs: tuple) -> tuple[Carry, tuple[Array, ...]]:
-            before, sensitivity = carry
+    def along(window: Window, ratio: Array, observed: Array) -> ModelState:
+        def step(state: ModelState, inputs: tuple) -> tuple[ModelState, ModelState]:
             control, ratio, observed, after = inputs
-            state = with_control_displacement(model, before, sensitivity, control, window.nodes)
-            graph = model.encode_state(state, window.nodes)
+            graph = model.encode_state(state, control, window.nodes)
             belief, joint = model.predict_joint(state.belief, graph)
             linear = model.linearize(model.cut_edges(graph, belief))
             predicted = *linear(state.position, state.velocity, control), belief
@@ -258,31 +249,25 @@ def predict_unobserved(
             chosen = jax.tree.map(
                 lambda one, other: jnp.where(observed, one, other), corrected, predicted
             )
-            assert state.control_displacement is not None
-            taken = state.position, state.velocity, state.control_displacement
-            return (ModelState(*chosen), linear.control_sensitivity), taken
+            return ModelState(*chosen), state
 
         position, velocity = window.position[0], window.velocity[0]
         first = model.initial_belief(position, velocity, window.nodes)
         begin = ModelState(position, velocity, first)
-        unknown = no_sensitivity(model, begin, window.control[0], window.nodes)
         after = window.position[1:], window.velocity[1:]
         inputs = window.control, ratio, observed, after
-        return jax.lax.scan(step, (begin, unknown), inputs)[1]
+        return jax.lax.scan(step, begin, inputs)[1]
 
-    position, velocity, displacement = jax.vmap(along)(trajectories, judged.log_ratio, observed)
+    states = jax.vmap(along)(trajectories, judged.log_ratio, observed)
     begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1, None]
     ratio = judged.log_ratio.at[..., 1:].add(jnp.where(begins, 0.0, touch)[..., None, None])
     replaced = dataclasses.replace(
         trajectories,
-        position=trajectories.position.at[:, :-1].set(position),
-        velocity=trajectories.velocity.at[:, :-1].set(velocity),
+        position=trajectories.position.at[:, :-1].set(states.position),
+        velocity=trajectories.velocity.at[:, :-1].set(states.velocity),
     )
-    displacement = jnp.where(begins[..., None], judged.displacement, displacement)
-    meeting = WindowSteps(model, replaced, 1).encode(displacement).meeting
-    return replaced, dataclasses.replace(
-        judged, displacement=displacement, log_ratio=ratio, meeting=meeting
-    )
+    before = jnp.where(begins[..., None], judged.before, states.belief.type_probability)
+    return replaced, dataclasses.replace(judged, before=before, log_ratio=ratio, meeting=None)
 
 
 class SensorReports(eqx.Module):

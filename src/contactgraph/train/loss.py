@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.motion_noise import Motion
 from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.rollout import drive
 from contactgraph.model.shapes import Meeting
-from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState, Nodes
+from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState
 from contactgraph.train.batch import Window
 
 _Result = TypeVar("_Result")
@@ -150,47 +150,27 @@ class WindowSteps:
         """Position [m] and velocity [m/s] that every step leads to."""
         return self.windows.position[:, 1:], self.windows.velocity[:, 1:]
 
-    def displacement(self, sensitivity: Float[Array, "B L N D W"]) -> Float[Array, "B L N D"]:
-        """Displacement of each node by each step's control alone, m, without gradient.
-
-        What drives times the sensitivity of the step before, as in `contactgraph.model.rollout`.
-        """
-        sensitivity = jax.lax.stop_gradient(sensitivity)
-        before = jnp.concatenate([sensitivity[:, :1], sensitivity[:, :-1]], axis=1)
-        driving = jax.lax.stop_gradient(self._drive())
-        return jnp.sum(before * driving[:, :, None, None, :], axis=-1)
-
-    def _drive(self) -> Float[Array, "B L W"]:
-        """What moves bodies in every step."""
-        windows = self.windows
-
-        def along(nodes: Nodes, *states: Array) -> Array:
-            return jax.vmap(lambda x, v, u: drive(self.model, x, v, u, nodes))(*states)
-
-        states = windows.position[:, :-1], windows.velocity[:, :-1], windows.control
-        return jax.vmap(along)(windows.nodes, *states)
-
-    def encode(
-        self, control_displacement: Float[Array, "B L N D"] | None, meeting: Meeting | None = None
-    ) -> EncodedGraph:
-        """Stage 1 of every step, from the recorded states; ``meeting``: see `JudgedSteps`."""
+    def encode(self, before: ContactBelief | None, meeting: Meeting | None = None) -> EncodedGraph:
+        """Stage 1 of every step, from the recorded states; ``before`` [B, L, ...]: the beliefs in
+        these, None: nothing is active. ``meeting``: see `JudgedSteps`."""
         windows, (batch, length) = self.windows, self.windows.control.shape[:2]
         window = jnp.repeat(jnp.arange(batch)[:, None], length, axis=1)
+        nothing = nothing_active(self.model.inference.edge_types)
 
         def encode(
             window: Array,
             x: Array,
             v: Array,
-            displacement: Array | None,
-            command: Array,
+            control: Array,
+            before: ContactBelief | None,
             meeting: Meeting | None,
         ) -> EncodedGraph:
             nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
-            return self.model.encode(x, v, nodes, displacement, command, None, meeting)
+            before = nothing if before is None else before
+            return self.model.encode(x, v, control, nodes, before, meeting)
 
-        states = windows.position[:, :-1], windows.velocity[:, :-1]
-        given = control_displacement, windows.control, meeting
-        return self.each(encode, window, *states, *given)
+        states = windows.position[:, :-1], windows.velocity[:, :-1], windows.control
+        return self.each(encode, window, *states, before, meeting)
 
     def predict_beliefs(self, graph: EncodedGraph) -> tuple[ContactBelief, ContactBelief]:
         """Prior and, by stage 2 in a scan over time, predicted belief of every step."""
@@ -214,21 +194,23 @@ def _teacher_forced(
 ) -> tuple[Float[Array, "B L N"], Float[Array, "B L E"], Float[Array, "B L E"]]:
     """Squared error, KL divergence and edge weights of every step from its recorded state."""
     model, windows = steps.model, steps.windows
-    graph = steps.encode(_control_displacements(steps))
+    graph = steps.encode(None)
     prior, belief = steps.predict_beliefs(graph)
+    if graph.control_displacement is not None:  # The control moves what is held in a state.
+        held = jax.tree.map(
+            lambda first, each: jnp.concatenate([first[:, :1], each[:, :-1]], axis=1), prior, belief
+        )
+        graph = steps.encode(jax.lax.stop_gradient(held))
+        prior, belief = steps.predict_beliefs(graph)
 
     def squared_error(
-        graph: EncodedGraph,
-        belief: ContactBelief,
-        control: Array,
-        after: tuple[Array, Array],
-        key: PRNGKeyArray,
+        graph: EncodedGraph, belief: ContactBelief, after: Motion, key: PRNGKeyArray
     ) -> Array:
         linear = model.linearize(model.cut_edges(graph, belief, key))
-        return squared_state_error(model, linear, graph, control, after)
+        return squared_state_error(model, linear, graph, after)
 
     keys = jax.random.split(key, windows.control.shape[:2])
-    error = steps.each(squared_error, graph, belief, windows.control, steps.after, keys)
+    error = steps.each(squared_error, graph, belief, steps.after, keys)
     p = jnp.clip(belief.type_probability, _SMALLEST, 1.0)
     q = jnp.clip(prior.type_probability, _SMALLEST, 1.0)
     return error, jnp.sum(p * (jnp.log(p) - jnp.log(q)), axis=-1), graph.weight
@@ -238,29 +220,12 @@ def squared_state_error(
     model: ContactDynamics,
     linear: LinearDynamics,
     graph: EncodedGraph,
-    control: Float[Array, " U"],
-    after: tuple[Float[Array, "N D"], Float[Array, "N D"]],
+    after: Motion,
 ) -> Float[Array, " N"]:
     """Squared error of each node after a step; the position's divided by dt, (m/s)^2."""
-    position, velocity = linear(graph.position, graph.velocity, control)
+    position, velocity = linear(graph.position, graph.velocity, graph.control)
     error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
     return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
-
-
-def _control_displacements(steps: WindowSteps) -> Float[Array, "B L N D"]:
-    """Displacement of each node by each step's control alone, m, without gradient.
-
-    From a first pass without control displacements, as `contactgraph.model.rollout` does it: the
-    control times the sensitivity of the step before.
-    """
-    model = steps.model
-    graph = steps.encode(None)
-    _, belief = steps.predict_beliefs(graph)
-
-    def sensitivity(graph: EncodedGraph, belief: ContactBelief) -> Array:
-        return model.linearize(model.cut_edges(graph, belief)).control_sensitivity
-
-    return steps.displacement(steps.each(sensitivity, graph, belief))
 
 
 def predict_window(
