@@ -94,13 +94,32 @@ def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_do
     @eqx.filter_jit
     @eqx.filter_value_and_grad
     def squared(model):
-        return dynamics_loss(model, windows(), judge_steps(model, windows())).squared
+        judged, apart = judge_steps(model, windows()), jnp.zeros(2, bool)
+        return dynamics_loss(model, windows(), judged, apart).squared
 
     value, slope = squared(MODEL)
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.inference)) == 0.0
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.local_dynamics)) > 0.0
     # Fresh edges hold, masses are equal: the impact is predicted because its motion was seen.
     assert float(value) < 0.05, "half of the speed in one of four steps, unpredicted, is 0.06"
+
+
+def test_windows_that_are_rolled_out_count_from_their_first_state_alone() -> None:
+    """A recorded state in the middle that is wrong matters to steps, but not to rollouts."""
+
+    @eqx.filter_jit
+    def terms(model, given, judged, rolled_out):
+        found = dynamics_loss(model, given, judged, rolled_out)
+        return found.squared, found.rollout
+
+    given = windows()
+    judged = eqx.filter_jit(judge_steps)(MODEL, given)
+    wrong = dataclasses.replace(given, velocity=given.velocity.at[1, 2, :, 0].add(1.0))
+    own = jnp.array([False, True])
+    (squared, rollout), (same, off) = (terms(MODEL, each, judged, own) for each in (given, wrong))
+    assert float(squared) == float(same), "the first window's steps alone"
+    # One of four states is 1 m/s off, and no other.
+    assert float(off) == pytest.approx(float(rollout) + 0.25, abs=0.02)
 
 
 def test_motion_corrects_the_belief_before_a_held_out_window() -> None:

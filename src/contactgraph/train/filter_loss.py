@@ -13,10 +13,12 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.graph import pair_indices
 from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_belief import (
     ContactBelief,
@@ -28,7 +30,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.types import EncodedGraph, LinearDynamics
+from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
 from contactgraph.train.judged_steps import (
     JudgedSteps,
@@ -44,7 +46,6 @@ from contactgraph.train.loss import (
     WindowSteps,
     masked_mean,
     rollout_error,
-    squared_state_error,
 )
 
 _SMALLEST = 1e-6
@@ -70,77 +71,78 @@ def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
 
 
 def dynamics_loss(
-    model: ContactDynamics, windows: Window, judged: JudgedSteps, devices: int = 1
+    model: ContactDynamics,
+    windows: Window,
+    judged: JudgedSteps,
+    rolled_out: Bool[Array, " B"],
 ) -> LossTerms:
-    """One-step terms over a batch of windows, given the likeliest types."""
-    steps = WindowSteps(model, windows, devices)
-    graph = steps.encode(ContactBelief(judged.before), judged.meeting)
+    """Terms over a batch of windows, given the likeliest types; the filter does not learn.
 
-    def compared(
-        graph: EncodedGraph, types: Array, after: Motion, unhindered: Motion
-    ) -> tuple[Array, Array]:
-        dynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-        error = squared_state_error(model, dynamics, graph, after)
-        if model.prediction_noise is None:
-            return error, jnp.zeros_like(error)
-        predicted = dynamics(graph.position, graph.velocity, graph.control)
-        residual = jax.lax.stop_gradient(predicted), unhindered, after
-        incidence = jnp.sum(graph.geometry.incidence(len(graph.position)), axis=0).T
-        near = incidence @ (graph.weight > 0).astype(graph.weight.dtype) > 0
+    Windows that are ``rolled_out`` are predicted from their first states, of the others each step
+    from the recorded one.
+    """
+    position, velocity, in_reach = jax.vmap(partial(given_steps, model))(
+        windows, judged.types, judged.before, rolled_out
+    )
+    after = windows.position[:, 1:], windows.velocity[:, 1:]
+    error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
+    error += jnp.sum((velocity - after[1]) ** 2, axis=-1)
+    learned = jnp.broadcast_to(windows.learned[:, None], error.shape)
+    single = learned & ~rolled_out[:, None, None]
+    zero = noise = jnp.zeros(())
+    if model.prediction_noise is not None:
+        count = position.shape[2]
+        incidence = np.any(pair_indices(count)[..., None] == np.arange(count), axis=1)
         score = model.prediction_noise.score(
-            graph.velocity, *residual, incidence @ types[:, 1:], model.dt
+            windows.velocity[:, :-1],
+            jax.lax.stop_gradient((position, velocity)),
+            judged.unhindered,
+            after,
+            jnp.einsum("en,blea->blna", incidence.astype(position.dtype), judged.types[..., 1:]),
+            model.dt,
         )
-        return error, jnp.where(near, score, jnp.nan)
-
-    error, score = steps.each(compared, graph, judged.types, steps.after, judged.unhindered)
-    nodes = jnp.broadcast_to(windows.learned[:, None], error.shape)
-    zero = jnp.zeros(())
-    noise = masked_mean(score, nodes & jnp.isfinite(score))
+        near = jnp.any(in_reach[..., None] & incidence, axis=2)
+        noise = masked_mean(score, single & near)
     if judged.masses is not None:
         of_masses = jax.vmap(partial(mass_score, model))(judged.masses, windows.nodes)
         noise += masked_mean(of_masses, windows.nodes.passive)
+    rollout = jax.vmap(partial(rollout_error, model))(position, velocity, windows)
     return LossTerms(
-        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), nodes),
-        squared=masked_mean(error, nodes),
-        rollout=zero,
+        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), single),
+        squared=masked_mean(error, single),
+        rollout=masked_mean(rollout, learned & rolled_out[:, None, None]),
         prior=zero,
         likelihood=zero,
         noise=noise,
     )
 
 
-def given_rollout(
+def given_steps(
     model: ContactDynamics,
     window: Window,
     types: Float[Array, "L E K"],
     before: Float[Array, "L E K"],
-) -> Motion:
-    """[L, N, D] m and m/s; all states of a window from its first one, with these one-hot types in
-    every step and ``before`` it."""
+    rolled_out: Bool[Array, ""],
+) -> tuple[Float[Array, "L N G"], Float[Array, "L N G"], Bool[Array, "L E"]]:
+    """The states, m and m/s, that the steps of a window lead to with these one-hot types in every
+    step and ``before`` it, and the edges within the cutoff.
 
-    def step(state: Motion, inputs: tuple[Array, Array, Array]) -> tuple[Motion, Motion]:
-        control, types, before = inputs
-        graph = model.encode(*state, control, window.nodes, ContactBelief(before))
-        linear: LinearDynamics = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-        after = linear(*state, control)
-        return after, after
+    Each step begins in the recorded state, or, where ``rolled_out``, where the last one led to.
+    """
 
+    def step(state: Motion, inputs: tuple) -> tuple[Motion, tuple[Array, Array, Array]]:
+        recorded, control, types, before = inputs
+        at: Motion = jax.tree.map(
+            lambda own, seen: jnp.where(rolled_out, own, seen), state, recorded
+        )
+        graph = model.encode(*at, control, window.nodes, ContactBelief(before))
+        linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+        after = linear(*at, control)
+        return after, (*after, graph.weight > 0)
+
+    recorded = window.position[:-1], window.velocity[:-1]
     first = window.position[0], window.velocity[0]
-    states: Motion = jax.lax.scan(step, first, (window.control, types, before))[1]
-    return states
-
-
-def given_rollout_loss(
-    model: ContactDynamics, windows: Window, judged: JudgedSteps
-) -> Float[Array, ""]:
-    """`LossTerms.rollout` when the types of every step are given."""
-
-    def error(window: Window, types: Array, before: Array) -> Float[Array, "L N"]:
-        states = given_rollout(model, window, types, before)
-        return rollout_error(model, *states, window)
-
-    found = jax.vmap(error)(windows, judged.types, judged.before)
-    return masked_mean(found, jnp.broadcast_to(windows.learned[:, None], found.shape))
+    return jax.lax.scan(step, first, (recorded, window.control, types, before))[1]
 
 
 def filter_loss(

@@ -17,7 +17,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, window_source
-from contactgraph.train.filter_loss import given_rollout
+from contactgraph.train.filter_loss import given_steps
 from contactgraph.train.loss import chunked_vmap
 
 _SPREADS = {
@@ -96,7 +96,7 @@ def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B
     def errors(window: Window) -> Float[Array, "L N G"]:
         shape = _STEPS, edges, model.inference.edge_types
         touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
-        _, velocity = given_rollout(model, window, touching, touching)
+        _, velocity, _ = given_steps(model, window, touching, touching, jnp.asarray(True))
         return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)
 
     return chunked_vmap(errors, (windows,), edges)

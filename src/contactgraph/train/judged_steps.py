@@ -45,6 +45,8 @@ class JudgedSteps(eqx.Module):
     """`types` of the step before each step, or likely ones."""
     log_ratio: Float[Array, "B L E K K"]
     """`edge_log_ratios`."""
+    prior: Float[Array, "B L E K"]
+    """`EncodedGraph.prior` where nothing is held."""
     types: Float[Array, "B L E K"]
     """The likeliest type of each edge in each step, one-hot."""
     unhindered: Motion
@@ -148,7 +150,7 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
     ratio = steps.each(judge, graph, steps.after)
     types = jax.vmap(likeliest_types)(graph.prior, ratio)
     before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
-    return JudgedSteps(before, ratio, types, unhindered, graph.meeting)
+    return JudgedSteps(before, ratio, graph.prior, types, unhindered, graph.meeting)
 
 
 class JudgedTrajectories(eqx.Module):
@@ -234,9 +236,7 @@ def predict_unobserved(
     on such rollouts, by the recorded motion. Bodies that did not touch in it were free in that
     step, wherever the rollout has them.
     """
-    steps = WindowSteps(model, trajectories, 1)
-    recorded = steps.encode(ContactBelief(judged.before), judged.meeting)
-    touch = jnp.log(jnp.clip((1.0 - recorded.prior[..., 0]) / _APART, _LEAST, 1.0))
+    touch = jnp.log(jnp.clip((1.0 - judged.prior[..., 0]) / _APART, _LEAST, 1.0))
 
     def along(window: Window, ratio: Array, observed: Array) -> ModelState:
         def step(state: ModelState, inputs: tuple) -> tuple[ModelState, ModelState]:
