@@ -11,13 +11,8 @@ from evaluation_worlds import DT, GluedBodies, random_run
 
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import (
-    PRESETS,
-    ModelConfig,
-    NeighborList,
-    ReallocatingModel,
-    neighbor_allocation,
-)
+from contactgraph.large_scenes import NeighborList, ReallocatingModel, neighbor_allocation
+from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
 COUNT = 6

@@ -11,8 +11,9 @@ import scipy.optimize
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jax.test_util import check_grads
-from model_scenes import DT
+from model_scenes import DT, geometry_of
 
+from contactgraph.bodies.geometry import Geometry
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ClosestApproachPrior,
@@ -21,7 +22,6 @@ from contactgraph.model import (
     NoCutoff,
     SmoothCutoff,
 )
-from contactgraph.model.collision import Geometry, geometry
 
 TOUCH = 0.08
 
@@ -29,7 +29,7 @@ TOUCH = 0.08
 @jax.jit
 def from_origin(*moved) -> Geometry:
     moved = [jnp.stack([jnp.zeros(len(value)), value]) for value in moved]
-    return geometry(*moved[:2], jnp.asarray(pair_indices(2)).T, DT, TOUCH, *moved[2:])
+    return geometry_of(*moved[:2], jnp.asarray(pair_indices(2)).T, DT, TOUCH, *moved[2:])
 
 
 def between(displacement, velocity, control_displacement=None) -> Geometry:
@@ -122,7 +122,7 @@ def quantities_and_slopes(position, velocity, contact_distance):
 
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
     pairs = jnp.asarray(pair_indices(len(position)))
-    edges = geometry(position, velocity, pairs.T, DT, contact_distance, control_displacement)
+    edges = geometry_of(position, velocity, pairs.T, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     # Nothing learns where bodies touch from what is only a guess at it.
     guess = jnp.full_like(edges.distance, TOUCH)

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import geometry_of
 
-from contactgraph.model.collision import Geometry, geometry
+from contactgraph.bodies.geometry import Geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import ContactMotion, FreeBodies
 
@@ -69,7 +70,7 @@ def solution(
 
 @eqx.filter_jit
 def _solve(net, position, velocity, pairs, anchor, gain, smooth) -> tuple[ContactMotion, Geometry]:
-    around = geometry(position, velocity, pairs.T, DT, TOUCH, None, anchor)
+    around = geometry_of(position, velocity, pairs.T, DT, TOUCH, anchor=anchor)
     return solution(net, velocity, gain, around, smooth), around
 
 

@@ -12,15 +12,15 @@ import pytest
 from model_scenes import follow, slippery_bodies
 from scipy.spatial.transform import Rotation
 
+from contactgraph.bodies.polygons import contact_points, plane_points
+from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene, generalized_coordinates
 from contactgraph.data.outlines import hull_moments, hull_rows
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
 from contactgraph.model.contact_law import DECELERATION, PACE
-from contactgraph.model.polygons import contact_points, plane_points
-from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph
 
 pytestmark = pytest.mark.usefixtures("double_precision")

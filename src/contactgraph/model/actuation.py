@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.bodies.geometry import relative_at_edges
+from contactgraph.bodies.pins import PinJoints
 from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.free_bodies import ContactMotion
-from contactgraph.model.pins import PinJoints
 from contactgraph.model.types import LocalInput, Nodes, SpringMassDamper, Step
 
 _MOST_DAMPED = 0.99

@@ -11,16 +11,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from contactgraph.bodies.geometry import Geometry, travel_bound
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.turns import coordinate_count
-from contactgraph.model.collision import (
-    ClosestApproachPrior,
-    DistancePrior,
-    Geometry,
-    NoCutoff,
-    SmoothCutoff,
-)
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ContactBelief,
@@ -31,6 +26,7 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
+from contactgraph.model.edges import EdgeList, Edges, all_pairs, edge_count
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
@@ -39,15 +35,8 @@ from contactgraph.model.local_dynamics import (
     step_geometry,
 )
 from contactgraph.model.motion_noise import PredictionNoise
-from contactgraph.model.neighbor_list import (
-    Edges,
-    NeighborList,
-    all_pairs,
-    edge_count,
-    travel_bound,
-)
+from contactgraph.model.prior import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import (
     EncodedGraph,
     LinearDynamics,
@@ -81,7 +70,7 @@ class ContactDynamics(eqx.Module):
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
-    neighbor_list: NeighborList | None = None
+    neighbor_list: EdgeList | None = None
     """Restricts edges to near pairs. None: every pair is an edge."""
     prediction_noise: PredictionNoise | None = None
     """Learned errors of the predicted motion. None: not learned."""
@@ -143,8 +132,17 @@ class ContactDynamics(eqx.Module):
         touch = touch if contact_distance is None else contact_distance
         if meeting is None or self.neighbor_list is not None:
             meeting = self.features.meeting(nodes, position, edges.edge_index)
-        step = nodes, edges.edge_index, self.dt, touch, meeting, control_displacement
-        points = step_geometry(self.features, self.local_dynamics, (position, moving), *step)
+        points = step_geometry(
+            self.features,
+            self.local_dynamics,
+            nodes,
+            meeting,
+            position=position,
+            velocity=moving,
+            dt=self.dt,
+            contact_distance=touch,
+            control_displacement=control_displacement,
+        )
         edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
@@ -229,7 +227,7 @@ class ContactDynamics(eqx.Module):
             anchor=graph.nodes.anchor,
             nodes=graph.nodes,
             control_displacement=graph.control_displacement,
-            group_capacity=None if capacity is None else capacity.group_capacity,
+            group_capacity=None if capacity is None else capacity.groups,
         )
 
     def linearize(self, local: LocalInput) -> LinearDynamics:

@@ -8,22 +8,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.actuation import Actuation, actuated_slots
-from contactgraph.model.collision import Geometry
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.model.convex import Patch
-from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
-from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.pins import with_pins, with_pins_held
-from contactgraph.model.planes import (
+from contactgraph.bodies.convex import Patch
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.pins import with_pins_held
+from contactgraph.bodies.planes import (
     on_planes,
-    plane_contacts,
     plane_geometry,
     rests_on_planes,
     weighed_down,
 )
-from contactgraph.model.polygons import as_near
+from contactgraph.bodies.polygons import as_near
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.model.actuation import Actuation, actuated_slots
+from contactgraph.model.constraints import plane_contacts, with_pins
+from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
+from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
+from contactgraph.model.heads import coupling_starts, with_hinge_springs
 from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 PACE = 5.0
@@ -186,8 +186,16 @@ class ContactLaw(eqx.Module):
         if nodes.gravity is not None:
             if nodes.planes is None or velocity.shape[1] != 6:
                 return velocity
-            at = position, velocity, self._plane_distance(node_type), nodes, dt
-            on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
+            on_ground = rests_on_planes(
+                nodes,
+                position=position,
+                velocity=velocity,
+                distance=self._plane_distance(node_type),
+                turns=turns,
+                turn_length=self.turn_length,
+                length=self.length,
+                dt=dt,
+            )
             damper, slowing = on_ground * damper, on_ground * slowing
         energy = jnp.sum(self.mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
@@ -324,12 +332,25 @@ class ContactLaw(eqx.Module):
         velocity if they do not touch."""
         motion = step.dt * (local.velocity + driven)
         distance = self._plane_distance(local.node_type)
-        at = local.position, local.velocity, motion, distance, local.nodes
-        shape = () if self.turn_length is None else (local.turns, self.turn_length, self.length)
-        geometry = plane_geometry(*at, *shape)
-        laws = self.laws(local.node_type, geometry.edge_index[0])
-        displacing = self._displacing(geometry, step)
-        return plane_contacts(geometry, _ONE_SIDED * self.length, laws, displacing, self.averaged)
+        geometry = plane_geometry(
+            local.nodes,
+            position=local.position,
+            velocity=local.velocity,
+            motion=motion,
+            distance=distance,
+            turns=local.turns,
+            turn_length=self.turn_length,
+            length=self.length,
+        )
+        bounce, friction = self.laws(local.node_type, geometry.edge_index[0])
+        return plane_contacts(
+            geometry,
+            softness=_ONE_SIDED * self.length,
+            bounce=bounce,
+            friction=friction,
+            displacing_fraction=self._displacing(geometry, step),
+            averaged=self.averaged,
+        )
 
     def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
         # Bodies that rest do not tell how much farther a plane might be.

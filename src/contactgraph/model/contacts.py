@@ -8,14 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.model.block_inverse import (
-    MassMatrix,
-    relative_at_edges,
-    solve_block_diagonal,
-    solve_dense,
-    to_nodes,
-)
-from contactgraph.model.collision import Geometry
+from contactgraph.bodies.geometry import Geometry, relative_at_edges, to_nodes
+from contactgraph.bodies.mass_matrix import MassMatrix, solve_dense
+from contactgraph.model.edges import GroupCapacity
 from contactgraph.model.free_bodies import (
     ContactMotion,
     FreeBodies,
@@ -74,7 +69,7 @@ class Contacts(eqx.Module):
     """1 for pins, whose ``bounce`` acts along all axes and both ways, else 0."""
 
     def solve(
-        self, bodies: FreeBodies, dt: float, capacity: int | None, rough: bool = True
+        self, bodies: FreeBodies, dt: float, capacity: GroupCapacity | None, rough: bool = True
     ) -> ContactMotion:
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit;
         ``rough``: whether anything bounces, rubs or decelerates; else one solution is enough.
@@ -131,7 +126,9 @@ class Contacts(eqx.Module):
             ground_share=solved.diagonal * ground,
         )
 
-    def _solve_smooth(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
+    def _solve_smooth(
+        self, bodies: FreeBodies, dt: float, capacity: GroupCapacity | None
+    ) -> ContactMotion:
         """`solve` where nothing bounces, rubs or is slowed but by dampers: at once."""
         mass, count = bodies.mass, len(bodies.mass)
         sliding, stiffness = self.geometry.along(1.0 - self.touching), self.damper + self.spring
@@ -192,7 +189,7 @@ class Contacts(eqx.Module):
         self,
         bodies: FreeBodies,
         dt: float,
-        capacity: int | None,
+        capacity: GroupCapacity | None,
         among: Bool[Array, " C"] | bool = True,
     ) -> "Contacts":
         """These contacts without touches that would pull, such as at the corner that lifts off
@@ -285,7 +282,7 @@ def _solve_each(
     stiffness: list[Float[Array, " C"]],
     geometry: list[Geometry],
     vectors: list[list[Float[Array, "N G c"]]],
-    capacity: int | None,
+    capacity: GroupCapacity | None,
 ) -> list[_Solved]:
     """`_solve` of several scenes of the same bodies, as one batch: one program to compile."""
     widths = [sum(part.shape[-1] for part in parts) for parts in vectors]
@@ -313,13 +310,10 @@ def _solve(
     stiffness: Float[Array, " C"],
     geometry: Geometry,
     vectors: list[Float[Array, "N G c"]],
-    capacity: int | None,
+    capacity: GroupCapacity | None,
 ) -> _Solved:
     matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
-    if capacity is None:
-        solved = solve_dense(matrix, right)
-    else:
-        solved = solve_block_diagonal(matrix, right, capacity)
+    solved = solve_dense(matrix, right) if capacity is None else capacity.solve(matrix, right)
     splits = np.cumsum([part.shape[-1] for part in vectors])[:-1].tolist()
     return _Solved(jnp.split(solved.solution, splits, axis=-1), solved.diagonal)
 

@@ -5,45 +5,46 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
+from contactgraph.bodies.geometry import Geometry, geometry
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
 from contactgraph.model.heads import PerDegreeHead
 from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
 
 
 def step_geometry(
     features: InvariantFeatures | AbsoluteFeatures,
     dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
-    state: tuple[Float[Array, "N G"], Float[Array, "N G"]],
     nodes: Nodes,
-    edge_index: Int[Array, "2 E"],
+    meeting: Meeting,
+    *,
+    position: Float[Array, "N G"],
+    velocity: Float[Array, "N G"],
     dt: float,
     contact_distance: Float[Array, "*E"] | float,
-    meeting: Meeting | None,
     control_displacement: Float[Array, "N G"] | None = None,
 ) -> Geometry:
-    """The places at which the nodes of edges meet in a step of ``dt`` [s] from a ``state`` of
-    positions [m] and velocities [m/s]: see `EncodedGraph.contact_points`."""
-    position, velocity = state
-    if meeting is not None:
-        count = meeting.edge_index.shape[1] // max(1, edge_index.shape[1])
-        each = jnp.broadcast_to(contact_distance, edge_index.shape[1:])
-        contact_distance = jnp.tile(each, count)
-    static = nodes.static if features.types else None  # not known without types
-    known = control_displacement, nodes.anchor, static, features.speed, nodes.half_size
+    """The geometry of a ``meeting`` in a step of ``dt`` [s] from a ``position`` [m] at ``velocity``
+    [m/s]: see `EncodedGraph.contact_points`. Each edge has its own ``contact_distance`` [m]."""
     head, coasting = getattr(dynamics, "head", None), None
     if isinstance(head, ContactLaw):
         types = features.node_type(nodes, velocity.dtype)
         turns = features.turns(nodes, velocity.dtype)
         coasting = head.coasting(position, velocity, types, nodes, turns, dt)
-    at = position, velocity, edge_index, dt, contact_distance
-    return geometry(*at, *known, meeting, coasting)
+    return geometry(
+        meeting,
+        velocity=velocity,
+        dt=dt,
+        contact_distance=jnp.resize(contact_distance, meeting.edge_index.shape[1:]),
+        control_displacement=control_displacement,
+        coasting=coasting,
+        speed=features.speed,
+    )
 
 
 def in_substeps(
@@ -68,8 +69,16 @@ def in_substeps(
         # Through all contacts of a rollout, each of which begins within a hair, gradients overflow.
         at = jax.lax.stop_gradient(at)
         meeting = features.meeting(local.nodes, at[0], edges.edge_index)
-        part = edges.edge_index, dt, edges.contact_distance, meeting
-        found = step_geometry(features, dynamics, at, local.nodes, *part)
+        found = step_geometry(
+            features,
+            dynamics,
+            local.nodes,
+            meeting,
+            position=at[0],
+            velocity=at[1],
+            dt=dt,
+            contact_distance=edges.contact_distance,
+        )
         there = dataclasses.replace(
             local,
             position=at[0],

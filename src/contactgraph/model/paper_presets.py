@@ -11,7 +11,6 @@ from functools import partial
 import jax
 from jaxtyping import PRNGKeyArray
 
-from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff
 from contactgraph.model.contact_belief import ArgmaxSample, GumbelSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -29,6 +28,7 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
 from contactgraph.model.presets import ModelConfig, Preset, default_cutoff
+from contactgraph.model.prior import ClosestApproachPrior, DistancePrior, NoCutoff
 
 
 class Compared(StrEnum):

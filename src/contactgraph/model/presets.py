@@ -19,7 +19,6 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_starts import told_numbers, with_impacts, with_shapes, with_slowing
-from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
@@ -38,6 +37,7 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.model.prior import ClosestApproachPrior, NoCutoff, SmoothCutoff
 
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""

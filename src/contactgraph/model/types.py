@@ -7,14 +7,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.pins import PinJoints
+from contactgraph.bodies.rotations import stepped_turns
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.pins import PinJoints
-from contactgraph.model.rotations import stepped_turns
-from contactgraph.model.shapes import Meeting
+from contactgraph.model.edges import GroupCapacity
 
 _MIN_INVERSE_MASS = 1e-6
 
@@ -205,8 +206,8 @@ class EncodedGraph(eqx.Module):
     geometry: Geometry
     contact_points: Geometry
     """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
-    meeting: Meeting | None
-    """Those places as the positions tell them, of bodies with outlines."""
+    meeting: Meeting
+    """Those places as the positions tell them."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
@@ -245,7 +246,7 @@ class LocalInput(eqx.Module):
     """See `contact_points`. None: those of `geometry`."""
     turns: Float[Array, " N"] | None = None
     """1 for bodies that turn, else 0."""
-    group_capacity: int | None = eqx.field(static=True, default=None)
+    group_capacity: GroupCapacity | None = eqx.field(static=True, default=None)
     """Most nodes that are coupled, directly or through others. None: no limit."""
 
     @property

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.geometry import incidence
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.body_mass import mass_score
@@ -85,10 +86,10 @@ def dynamics_loss(
             return error, jnp.zeros_like(error)
         predicted = dynamics(graph.position, graph.velocity, control)
         residual = jax.lax.stop_gradient(predicted), unhindered, after
-        incidence = jnp.sum(graph.geometry.incidence(len(graph.position)), axis=0).T
-        near = incidence @ (graph.weight > 0).astype(graph.weight.dtype) > 0
+        ends = jnp.sum(incidence(graph.geometry.edge_index, len(graph.position)), axis=0).T
+        near = ends @ (graph.weight > 0).astype(graph.weight.dtype) > 0
         score = model.prediction_noise.score(
-            graph.velocity, *residual, incidence @ types[:, 1:], model.dt
+            graph.velocity, *residual, ends @ types[:, 1:], model.dt
         )
         return error, jnp.where(near, score, jnp.nan)
 

@@ -1,7 +1,6 @@
-"""Edges of one step: all pairs of nodes, or a neighbor list of the near ones."""
+"""Neighbor lists: the near pairs of nodes alone are the edges of a step."""
 
 import itertools
-import math
 
 import equinox as eqx
 import jax
@@ -11,34 +10,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_count, pair_indices
+from contactgraph.large_scenes.block_inverse import GroupsOf
+from contactgraph.model.edges import Edges
 
-_PRODUCT_NODES = 32
-"""Up to this number of nodes a one-hot product is faster on CPU than a scatter."""
 _MAX_NODES = 46_340
 """The pairs of more nodes have ids beyond 32 bits."""
-
-
-class Edges(eqx.Module):
-    """The pairs of nodes that one step considers: all pairs, or only the near ones."""
-
-    edge_index: Int[Array, "2 E"]
-    """First and second node of each edge."""
-    edge_id: Int[Array, " E"] | None
-    """Row of each pair in `pair_indices`, ascending; padding has the number of all pairs as its id
-    and (0, 0) as its nodes. None: the edges are all pairs, in that order."""
-    fits: Bool[Array, ""]
-    """False where pairs are missing because they exceed a capacity."""
-
-    def select(self, of_all: Bool[Array, " all"]) -> Bool[Array, " E"]:
-        """A property of all pairs, for these edges; False for padding."""
-        if self.edge_id is None:
-            return of_all
-        return of_all.at[self.edge_id].get(mode="fill", fill_value=False)
-
-
-def all_pairs(count: int) -> Edges:
-    """The edges between all pairs of `count` nodes."""
-    return Edges(jnp.asarray(pair_indices(count).T), None, jnp.ones((), bool))
 
 
 def edge_nodes(edge: Int[Array, " E"], count: int) -> Int[Array, "2 E"]:
@@ -55,18 +31,6 @@ def edge_nodes(edge: Int[Array, " E"], count: int) -> Int[Array, "2 E"]:
 def unordered_edge_id(one: Int[Array, " E"], other: Int[Array, " E"]) -> Int[Array, " E"]:
     """The id of the edge between two nodes, in either order."""
     return edge_id(jnp.minimum(one, other), jnp.maximum(one, other))
-
-
-def sum_at_nodes(
-    arriving: Float[Array, "2 E ..."], edge_index: Int[Array, "2 E"], count: int
-) -> Float[Array, "N ..."]:
-    """Sum, at each of `count` nodes, over the edges that have it as first or second node."""
-    flat = arriving.reshape(-1, *arriving.shape[2:])
-    if count > _PRODUCT_NODES:
-        return jax.ops.segment_sum(flat, edge_index.reshape(-1), count)
-    arrives = (jnp.arange(count)[:, None] == edge_index.reshape(-1)).astype(arriving.dtype)
-    columns = flat.reshape(flat.shape[0], math.prod(flat.shape[1:]))
-    return (arrives @ columns).reshape(count, *flat.shape[1:])
 
 
 class NeighborList(eqx.Module):
@@ -92,6 +56,20 @@ class NeighborList(eqx.Module):
             size = getattr(self, name)
             if size is not None and size < 1:
                 raise InvalidInputError(f"{name} must be at least 1, found {size}")
+
+    def grown(self, factor: int) -> "NeighborList":
+        """The same with as many times the capacity."""
+        cells, groups = self.cell_capacity, self.group_capacity
+        return NeighborList(
+            max_edges=factor * self.max_edges,
+            cell_capacity=None if cells is None else factor * cells,
+            group_capacity=None if groups is None else factor * groups,
+        )
+
+    @property
+    def groups(self) -> GroupsOf | None:
+        """Groups of `group_capacity` nodes. None: all nodes are solved as one group."""
+        return None if self.group_capacity is None else GroupsOf(self.group_capacity)
 
     def __call__(
         self,
@@ -126,42 +104,6 @@ class NeighborList(eqx.Module):
         listed = jnp.sort(listed.at[slot].set(found.edge_id.reshape(-1), mode="drop"))
         fits = (found.largest_cell <= self.cell_capacity) & (total[-1] <= self.max_edges)
         return Edges(edge_nodes(listed, count), listed, fits)
-
-
-def edge_count(neighbor_list: NeighborList | None, node_count: int) -> int:
-    """Number of edges of a step: the list's capacity, or all pairs."""
-    return pair_count(node_count) if neighbor_list is None else neighbor_list.max_edges
-
-
-def travel_bound(
-    position: Float[Array, "N D"],
-    velocity: Float[Array, "N D"],
-    control_displacement: Float[Array, "N D"] | None,
-    anchor: Float[Array, "N D"] | None,
-    dt: float,
-    half_size: Float[Array, "N D"] | None = None,
-    outlines: Float[Array, "N P V ..."] | None = None,
-) -> Float[Array, " N"]:
-    """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
-    [s]; arguments as of `geometry`."""
-    bound = dt * jnp.linalg.norm(velocity, axis=-1)
-    if control_displacement is not None:
-        bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
-    if half_size is not None:  # a corner is farther from the centre than the nearest side
-        bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
-    if outlines is not None:
-        bound = bound + extent(outlines)
-    if anchor is None:
-        return bound
-    # A bar's far end is a radius from its middle, and twice as fast.
-    radius = jnp.linalg.norm(position - anchor, axis=-1)
-    return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
-
-
-def extent(outlines: Float[Array, "N P V ..."]) -> Float[Array, " N"]:
-    """m; from a body's position to the farthest point of its outlines: see `Nodes.outlines`."""
-    lengths = jnp.linalg.norm(outlines, axis=-1)
-    return jnp.max(lengths.reshape(len(lengths), -1), axis=1)
 
 
 def near_pairs(

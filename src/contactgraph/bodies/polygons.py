@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.collision import Geometry
-from contactgraph.model.convex import (
+from contactgraph.bodies.convex import (
     across_edges,
     between,
     crossings,
@@ -23,8 +22,9 @@ from contactgraph.model.convex import (
     facets_of,
     vertices_of,
 )
-from contactgraph.model.rotations import across, levers, placed
-from contactgraph.model.shapes import Meeting
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.rotations import across, levers, placed
+from contactgraph.bodies.shapes import Meeting
 
 _SAME_POINT, _SAME_NORMAL = 0.05, 0.9
 """Distance, in lengths, and cosine, of two points of contact that are one."""
@@ -64,6 +64,7 @@ def polygon_meeting(
     position: Float[Array, "N G"],
     turns: Float[Array, " N"],
     edge_index: Int[Array, "2 E"],
+    *,
     turn_length: float,
     length: float,
     margin: float = 0.0,

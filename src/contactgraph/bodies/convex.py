@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.model.rotations import across, rotation_matrix
+from contactgraph.bodies.rotations import across, rotation_matrix
 
 _SMALL = 1e-12
 _PARALLEL = 1e-3

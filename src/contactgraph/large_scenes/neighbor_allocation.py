@@ -10,16 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from contactgraph.bodies.geometry import travel_bound
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_count
-from contactgraph.model.collision import SmoothCutoff
+from contactgraph.large_scenes.neighbor_list import NeighborList, cell_candidates, near_pairs
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.neighbor_list import (
-    NeighborList,
-    cell_candidates,
-    near_pairs,
-    travel_bound,
-)
+from contactgraph.model.prior import SmoothCutoff
 from contactgraph.model.types import Nodes, StepModel
 
 CELLS_FROM = 32
@@ -82,7 +78,7 @@ class ReallocatingModel(Generic[_Model]):
     def __init__(self, model: _Model, dataset: Dataset) -> None:
         """`dataset`: recorded trajectories like those that are to be predicted."""
         self.given = self.model = model
-        self._may_grow = False
+        self._grown: _Model | None = None
         if not isinstance(model, ContactDynamics) or model.neighbor_list is not None:
             return
         if not isinstance(model.cutoff, SmoothCutoff):
@@ -92,8 +88,8 @@ class ReallocatingModel(Generic[_Model]):
             return  # A list would hold more, whatever is near.
         neighbor_list = _list_for(model, dataset, count)
         if count >= CELLS_FROM or neighbor_list.max_edges < _MAX_SHARE * pair_count(count):
-            self._may_grow = True
             self.model = dataclasses.replace(model, neighbor_list=neighbor_list)
+            self._grown = dataclasses.replace(model, neighbor_list=neighbor_list.grown(_GROWTH))
 
     def reallocate_on_overflow(
         self,
@@ -106,24 +102,14 @@ class ReallocatingModel(Generic[_Model]):
         another cause.
         """
         result = predict(self.model)
-        if finite(result) or not self._may_grow:
+        if finite(result) or self._grown is None:
             return result
-        assert isinstance(self.model, ContactDynamics) and self.model.neighbor_list is not None
-        self._may_grow = False
-        before = self.model.neighbor_list
-        cells, groups = before.cell_capacity, before.group_capacity
-        after = NeighborList(
-            max_edges=_GROWTH * before.max_edges,
-            cell_capacity=None if cells is None else _GROWTH * cells,
-            group_capacity=None if groups is None else _GROWTH * groups,
-        )
         _log.warning(
-            "a prediction is not finite: the neighbor list grows from %s to %s and is compiled "
-            "again",
-            before,
-            after,
+            "a prediction is not finite: the neighbor list grows to %d times its capacity and is "
+            "compiled again",
+            _GROWTH,
         )
-        self.model = dataclasses.replace(self.model, neighbor_list=after)
+        self.model, self._grown = self._grown, None
         return predict(self.model)
 
 
