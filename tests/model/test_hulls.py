@@ -12,7 +12,8 @@ import pytest
 from model_scenes import follow, slippery_bodies
 from scipy.spatial.transform import Rotation
 
-from contactgraph.bodies.polygons import contact_points, plane_points
+from contactgraph.bodies.planes import plane_points
+from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene, generalized_coordinates

@@ -159,6 +159,15 @@ def geometry(
     )
 
 
+def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
+    """1 for points of contact that come as near as the nearest of their edge, or touch, else down
+    to 0 within about a ``tolerance`` [m]; rows as of `EncodedGraph.contact_points`."""
+    touch = jnp.maximum(nearest.closest_approach, nearest.contact_distance)
+    count = len(points.distance) // max(1, len(touch))
+    excess = jax.nn.relu(points.closest_approach - jnp.tile(touch, count))
+    return jnp.exp(-((excess / tolerance) ** 2))
+
+
 def along_normals(
     *,
     edge_index: Int[Array, "2 C"],

@@ -8,21 +8,13 @@ cross; among them are the nearest points of any two that do not overlap deeply (
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.bodies.convex import (
-    across_edges,
-    between,
-    crossings,
-    facet_distances,
-    facets_of,
-    vertices_of,
-)
-from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.rotations import across, levers, placed
 from contactgraph.bodies.shapes import Meeting
 
@@ -34,8 +26,11 @@ _CROSSES = 0.02
 """In lengths: by how much a body may reach beyond an edge at which it meets another."""
 _ROUNDING = 1e-5
 """Distance from a side, in its lengths, of which rounding leaves no direction."""
-_FAR = 1e3
+FAR = 1e3
 """In lengths; the gap of a point that does not exist."""
+_PARALLEL = 1e-3
+"""Squared sine of the angle of two edges, below which they do not cross."""
+_SMALL = 1e-12
 
 
 def most_points(dimension: int) -> int:
@@ -57,6 +52,21 @@ class ContactPoints(eqx.Module):
     """m"""
     on_face: Bool[Array, "*C"]
     """Whether one of them is a face, along which the other may slide without coming nearer."""
+
+    def seen_from_second(self) -> "ContactPoints":
+        """The same with the two bodies exchanged."""
+        return dataclasses.replace(
+            self, normal=-self.normal, on_first=self.on_second, on_second=self.on_first
+        )
+
+    def where(self, condition: Bool[Array, "*C"], other: "ContactPoints") -> "ContactPoints":
+        """These points where the condition holds, else the others."""
+
+        def choose(one: Array, another: Array) -> Array:
+            shape = *condition.shape, *(1,) * (one.ndim - condition.ndim)
+            return jnp.where(condition.reshape(shape), one, another)
+
+        return jax.tree.map(choose, self, other)
 
 
 def polygon_meeting(
@@ -105,7 +115,8 @@ def contact_points(
 ) -> ContactPoints:
     """The `most_points` points of contact of every edge, [E, points], of `placed` outlines.
 
-    Points nearer to each other than a twentieth of ``length`` [m] count once.
+    Points nearer to each other than a twentieth of ``length`` [m] count once. All candidates are
+    compared without gradient; those chosen are found again with it.
     """
     if not edge_index.shape[1]:  # an empty array does not tell its other sizes
         of_one = contact_points(outlines, jnp.zeros((2, 1), int), length)
@@ -116,83 +127,30 @@ def contact_points(
     vertices, facets = vertices_of(bodies)[0], facets_of(bodies)[1]
     vertices = vertices.reshape(*vertices.shape[:2], -1, dimension)
     found = jax.lax.stop_gradient(_candidates(vertices, facets))
-    apart, along, middle = (
-        jnp.concatenate(list(leaf), axis=1) for leaf in (found.gap, found.normal, found.middle)
-    )
-    count = apart.shape[1]
+    compared, count = (found.gap, found.normal, found.middle), found.gap.shape[1]
     if dimension == 3:
-        edges = bodies[0, ..., 3:, :].reshape(2, len(found.overlap), -1, 2, 3)
-        given = bodies[0], found.overlap, _CROSSES * length
-        crossing = jax.lax.stop_gradient(crossings(*given))
+        crossing = _crossings(bodies[0], found.overlap, _CROSSES * length)
         # Else all that follows would compute them again for itself.
-        both = jax.lax.optimization_barrier(((apart, along, middle), crossing))
-        apart, along, middle = (jnp.concatenate(each, axis=1) for each in zip(*both, strict=True))
-    chosen, exists = _nearest(apart, along, middle, length, most_points(dimension))
+        both = jax.lax.optimization_barrier((compared, jax.lax.stop_gradient(crossing)))
+        compared = jax.tree.map(lambda *each: jnp.concatenate(each, axis=1), *both)
+    chosen, exists = nearest_places(*compared, length, most_points(dimension))
     rows = jnp.arange(edge_index.shape[1])[:, None]
-    way, index = jnp.divmod(jnp.minimum(chosen, count - 1), count // 2)
-    vertex, polygon = jnp.divmod(index, facets.shape[2])
-    side, on_face = (
-        jnp.concatenate(list(leaf), axis=1)[rows, way * (count // 2) + index]
-        for leaf in (found.side, found.on_face)
-    )
-    corners = facets[way, rows, polygon, side]
-    gap, normal, on_one, on_other = between(vertices[way, rows, vertex], corners, on_face)
-    back = (way == 1)[..., None]
-    result = ContactPoints(
-        gap=gap,
-        normal=jnp.where(back, -normal, normal),
-        on_first=jnp.where(back, on_other, on_one),
-        on_second=jnp.where(back, on_one, on_other),
-        on_face=on_face,
-    )
+    index = jnp.minimum(chosen, count - 1)
+    way, place = jnp.divmod(index, count // 2)
+    vertex, polygon = jnp.divmod(place, facets.shape[2])
+    corners = facets[way, rows, polygon, found.side[rows, index]]
+    result = _between(vertices[way, rows, vertex], corners, found.on_face[rows, index])
+    result = result.seen_from_second().where(way == 1, result)
     if dimension == 3:
-        first, second = jnp.divmod(jnp.maximum(chosen - count, 0), edges.shape[2])
-        ends = edges[0, rows, first], edges[1, rows, second]
-        crossed = ContactPoints(*across_edges(*ends, along[rows, chosen]), chosen >= count)
-        result = jax.tree.map(
-            lambda one, other: jnp.where(
-                crossed.on_face.reshape(*chosen.shape, *(1,) * (one.ndim - 2)), other, one
-            ),
-            result,
-            crossed,
-        )
-    gap = jnp.where(exists, result.gap, _FAR * length)
+        first, second = _edges_of(bodies[0])
+        one, other = jnp.divmod(jnp.maximum(chosen - count, 0), first.shape[1])
+        crossed = _crossing(first[rows, one], second[rows, other], compared[1][rows, chosen])
+        result = crossed.points.where(chosen >= count, result)
+    gap = jnp.where(exists, result.gap, FAR * length)
     return dataclasses.replace(result, gap=gap)
 
 
-def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
-    """1 for points of contact that come as near as the nearest of their edge, or touch, else down
-    to 0 within about a ``tolerance`` [m]; rows as of `EncodedGraph.contact_points`."""
-    touch = jnp.maximum(nearest.closest_approach, nearest.contact_distance)
-    count = len(points.distance) // max(1, len(touch))
-    excess = jax.nn.relu(points.closest_approach - jnp.tile(touch, count))
-    return jnp.exp(-((excess / tolerance) ** 2))
-
-
-def plane_points(
-    outlines: Float[Array, "N P V ..."], planes: Float[Array, "P D+1"], length: float
-) -> tuple[Float[Array, "N P points"], Float[Array, "N P points D"]]:
-    """The `most_points` lowest vertices of every body above every plane: heights and places, m.
-
-    ``planes``: see `Nodes.planes`.
-    """
-    dimension = outlines.shape[-1]
-    vertices = vertices_of(outlines).reshape(len(outlines), 1, -1, dimension)
-    vertices = jnp.repeat(vertices, len(planes), axis=1)
-    normal, offset = planes[:, None, :-1], planes[:, -1:]
-    height = jnp.sum(vertices * normal, axis=-1) - offset
-    flat = jax.lax.stop_gradient(height).reshape(-1, height.shape[2])
-    places, count = vertices.reshape(*flat.shape, dimension), most_points(dimension)
-    chosen, exists = (
-        leaf.reshape(*height.shape[:2], count)
-        for leaf in _nearest(flat, jnp.ones_like(places), places, length, count)
-    )
-    lowest = jnp.take_along_axis(vertices, chosen[..., None], axis=2)
-    height = jnp.take_along_axis(height, chosen, axis=2)
-    return jnp.where(exists, height, _FAR * length), lowest
-
-
-def _nearest(
+def nearest_places(
     gap: Float[Array, "E M"],
     normal: Float[Array, "E M D"],
     place: Float[Array, "E M D"],
@@ -214,16 +172,28 @@ def _nearest(
     return jnp.concatenate(chosen, axis=1), jnp.concatenate(exists, axis=1)
 
 
-class _Candidates(eqx.Module):
-    """Vertices of one body against the facets of the other, flattened."""
+def vertices_of(outlines: Float[Array, "... D"]) -> Float[Array, "... D"]:
+    """[..., V, D]: see `Nodes.outlines`."""
+    return outlines if outlines.shape[-1] == 2 else outlines[..., 3, :]
 
-    gap: Float[Array, "ways E MP"]
+
+def facets_of(outlines: Float[Array, "... D"]) -> Float[Array, "... D"]:
+    """[..., V, D, D]: the ends of each side of polygons, the corners of each triangle of hulls."""
+    if outlines.shape[-1] == 3:
+        return outlines[..., :3, :]
+    return jnp.stack([outlines, jnp.roll(outlines, -1, axis=-2)], axis=-2)
+
+
+class _Candidates(eqx.Module):
+    """Vertices of each body against the facets of the other, those of the first body first."""
+
+    gap: Float[Array, "E M"]
     """Infinite where a vertex does not count."""
-    side: Int[Array, "ways E MP"]
-    on_face: Bool[Array, "ways E MP"]
-    normal: Float[Array, "ways E MP D"]
+    side: Int[Array, "E M"]
+    on_face: Bool[Array, "E M"]
+    normal: Float[Array, "E M D"]
     """From the first body of the edge to the second."""
-    middle: Float[Array, "ways E MP D"]
+    middle: Float[Array, "E M D"]
     """m; between the two points."""
     overlap: Float[Array, " E"]
     """m; of the two bodies along the normal of a facet, below 0; above it where they are apart."""
@@ -233,30 +203,196 @@ def _candidates(
     vertices: Float[Array, "ways E M D"], facets: Float[Array, "ways E P V D D"]
 ) -> _Candidates:
     """Candidates both ways; a vertex of a body with an outline does not count against a point."""
-    apart, height = facet_distances(vertices, facets)
-    inside = jnp.all(height <= 0.0, axis=-1) & jnp.any(height > -jnp.inf, axis=-1)
-    index = jnp.where(inside, jnp.argmax(height, axis=-1), jnp.argmin(apart, axis=-1))
+    seen = vertices[:, :, :, None]
+    found = _nearest_of(seen[..., None, :], facets[:, :, None])
+    inside = jnp.all(found.height <= 0.0, axis=-1) & jnp.any(found.height > -jnp.inf, axis=-1)
+    index = jnp.argmin(found.square, axis=-1)
+    index = jnp.where(inside, jnp.argmax(found.height, axis=-1), index)
     # Above a face the nearest point is inside of it, and the way there is its normal.
     begin, end = facets[:, :, None, ..., 0, :], facets[:, :, None, ..., 1, :]
-    touches = apart < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
-    above = inside[..., None] | touches | (height > (1.0 - _ON_FACE) * jnp.sqrt(apart))
+    touches = found.square < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
+    touches |= found.height > (1.0 - _ON_FACE) * jnp.sqrt(found.square)
+    above = inside[..., None] | touches
     on_face = jnp.take_along_axis(above, index[..., None], axis=-1)[..., 0]
     way, row, _, polygon = jnp.meshgrid(*map(jnp.arange, index.shape), indexing="ij")
-    nearest = facets[way, row, polygon, index]
-    gap, normal, on_one, on_other = between(vertices[:, :, :, None], nearest, on_face)
+    points = _between(seen, facets[way, row, polygon, index], on_face)
     extended = jnp.any(vertices != vertices[:, :, :1], axis=(2, 3))
     counts = jnp.arange(vertices.shape[2]) == 0
     counts = jnp.where(extended[..., None], extended[::-1, :, None], counts)
-    forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (normal.ndim - 1))
+    forth = jnp.array([1.0, -1.0]).reshape(2, *(1,) * (points.normal.ndim - 1))
 
     def flat(leaf: Array) -> Array:
-        return leaf.reshape(*leaf.shape[:2], -1, *leaf.shape[4:])
+        return jnp.moveaxis(leaf, 0, 1).reshape(leaf.shape[1], -1, *leaf.shape[4:])
 
     return _Candidates(
-        gap=flat(jnp.where(counts[..., None], gap, jnp.inf)),
+        gap=flat(jnp.where(counts[..., None], points.gap, jnp.inf)),
         side=flat(index),
         on_face=flat(on_face),
-        normal=flat(forth * normal),
-        middle=flat(0.5 * (on_one + on_other)),
-        overlap=jnp.max(jnp.min(height, axis=2), axis=(0, 2, 3)),
+        normal=flat(forth * points.normal),
+        middle=flat(0.5 * (points.on_first + points.on_second)),
+        overlap=jnp.max(jnp.min(found.height, axis=2), axis=(0, 2, 3)),
     )
+
+
+class _Facet(NamedTuple):
+    """The place of a facet that is nearest to a point."""
+
+    away: "_Vector"
+    """m; from there to the point."""
+    square: Float[Array, "*C"]
+    """Of its length."""
+    outward: "_Vector"
+    """The facet's normal; 0 for one without extent."""
+    height: Float[Array, "*C"]
+    """m; above the facet's line or plane, infinite below one without extent."""
+
+
+def _nearest_of(point: Float[Array, "*C D"], corners: Float[Array, "*C D D"]) -> _Facet:
+    """Of a side of a polygon or a triangle of a hull, counter-clockwise seen from outside."""
+    at, in_space = _Vector.of(point), corners.shape[-1] == 3
+    ends = [_Vector.of(corners[..., each, :]) for each in range(corners.shape[-1])]
+    sides = [ends[(each + 1) % len(ends)] - end for each, end in enumerate(ends)]
+    area = sides[0].cross(sides[1]) if in_space else _Vector((sides[0][1], -sides[0][0]))
+    extent = area.dot(area)
+    outward = area.times(_inverse_root(extent))
+    height = (at - ends[0]).dot(outward)
+    above = (extent > 0.0) & in_space  # the triangle, not only its plane
+    square, away = jnp.full_like(height, jnp.inf), at
+    for end, side in zip(ends, sides if in_space else sides[:1], strict=False):
+        offset = at - end
+        if in_space:
+            above = above & (outward.cross(side).dot(offset) >= 0.0)
+        part = jnp.clip(offset.dot(side) * _inverse(side.dot(side)), 0.0, 1.0)
+        way = offset - side.times(part)
+        apart = way.dot(way)
+        square, away = jnp.minimum(square, apart), way.where(apart < square, away)
+    return _Facet(
+        away=outward.times(height).where(above, away),
+        square=jnp.where(above, height**2, square),
+        outward=outward,
+        height=jnp.where(extent > 0.0, height, -jnp.inf),
+    )
+
+
+def _between(
+    point: Float[Array, "*C D"], corners: Float[Array, "*C D D"], on_face: Bool[Array, "*C"]
+) -> ContactPoints:
+    """Of a point of the first body and a facet of the second.
+
+    ``on_face``: the gap is the height above the line or plane of the facet, below 0 behind it.
+    """
+    facet = _nearest_of(point, corners)
+    apart = jnp.sqrt(facet.away.dot(facet.away) + _SMALL)
+    gap = jnp.where(on_face, facet.height, apart)
+    normal = -facet.outward.where(on_face, facet.away.times(1.0 / apart)).stacked()
+    whole = jnp.broadcast_to(point, normal.shape)
+    return ContactPoints(gap, normal, whole, whole + gap[..., None] * normal, on_face)
+
+
+class _Crossing(NamedTuple):
+    """The nearest points of the lines of two edges."""
+
+    points: ContactPoints
+    """Each counts as a face, along which nothing comes nearer."""
+    parts: Float[Array, "2 ..."]
+    """At which part of each edge its point lies, 0 at its begin and 1 at its end."""
+    slant: Float[Array, "*C"]
+    """Squared sine of their angle."""
+
+
+def _crossing(
+    first: Float[Array, "*C 2 3"], second: Float[Array, "*C 2 3"], outward: Float[Array, "*C 3"]
+) -> _Crossing:
+    """Of edges with these ends; the normal is that along ``outward``."""
+    begin, start = (_Vector.of(each[..., 0, :]) for each in (first, second))
+    one, other = (_Vector.of(each[..., 1, :] - each[..., 0, :]) for each in (first, second))
+    area, offset = one.cross(other), start - begin
+    square = area.dot(area)
+    ahead = jnp.where(area.dot(_Vector.of(outward)) < 0.0, -1.0, 1.0)
+    normal = area.times(ahead * _inverse_root(square))
+    part, share = (offset.cross(each).dot(area) * _inverse(square) for each in (other, one))
+    points = ContactPoints(
+        gap=normal.dot(offset),
+        normal=normal.stacked(),
+        on_first=(begin + one.times(part)).stacked(),
+        on_second=(start + other.times(share)).stacked(),
+        on_face=jnp.ones(square.shape, bool),
+    )
+    slant = square * _inverse(one.dot(one) * other.dot(other))
+    return _Crossing(points, jnp.stack([part, share]), slant)
+
+
+def _edges_of(hulls: Float[Array, "2 E P V 5 3"]) -> Float[Array, "2 E M 2 3"]:
+    """The ends of all edges of each body."""
+    return hulls[..., 3:, :].reshape(2, hulls.shape[1], -1, 2, 3)
+
+
+def _crossings(
+    hulls: Float[Array, "2 E P V 5 3"], overlap: Float[Array, " E"], tolerance: float
+) -> tuple[Float[Array, "E M"], Float[Array, "E M 3"], Float[Array, "E M 3"]]:
+    """Gap, infinite where they do not meet, normal and middle of all pairs of edges of two bodies.
+
+    Edges meet where both bodies lie behind them, but for a ``tolerance`` [m]. They do not where the
+    bodies would have to part by more than along the normal of a face, by ``overlap`` [m] below 0.
+    """
+    edges = _edges_of(hulls)
+    # The corners of each edge's own hull, [V, E, M, 3].
+    own = jnp.moveaxis(jnp.repeat(hulls[..., 3, :], hulls.shape[3], axis=2), 3, 1)
+    outward = jnp.mean(edges[0], axis=2) - jnp.mean(own[0], axis=0)
+    first, second = edges[0][:, :, None], edges[1][:, None]
+    found = _crossing(first, second, outward[:, :, None])
+    gap, normal = found.points.gap, _Vector.of(found.points.normal)
+    meets = found.slant > _PARALLEL
+    meets &= jnp.all((found.parts > 0.0) & (found.parts < 1.0), axis=0)
+    meets &= gap > overlap[:, None, None] - tolerance
+    for end, sign, at in ((0, 1.0, first), (1, -1.0, second)):
+        corners = _Vector.of(jnp.expand_dims(own[end], 3 - end))
+        behind = jnp.max(sign * corners.dot(normal), axis=0)
+        behind -= sign * normal.dot(_Vector.of(at[..., 0, :]))
+        meets &= behind < tolerance
+    middle = 0.5 * (found.points.on_first + found.points.on_second)
+    flat = len(gap), -1
+    gap = jnp.where(meets, gap, jnp.inf).reshape(flat)
+    return gap, found.points.normal.reshape(*flat, 3), middle.reshape(*flat, 3)
+
+
+def _inverse(square: Float[Array, "*C"]) -> Float[Array, "*C"]:
+    """0 of 0."""
+    return jnp.where(square > 0.0, 1.0 / jnp.where(square > 0.0, square, 1.0), 0.0)
+
+
+def _inverse_root(square: Float[Array, "*C"]) -> Float[Array, "*C"]:
+    """0 of 0."""
+    inverse = 1.0 / jnp.where(square > 0.0, square, 1.0)
+    return jnp.where(square > 0.0, jnp.sqrt(inverse), 0.0)
+
+
+class _Vector(tuple[Array, ...]):
+    """The components of vectors: sums over a last axis of three take ten times as long."""
+
+    @classmethod
+    def of(cls, vector: Float[Array, "*C D"]) -> "_Vector":
+        return cls(vector[..., each] for each in range(vector.shape[-1]))
+
+    def stacked(self) -> Float[Array, "*C D"]:
+        return jnp.stack(self, axis=-1)
+
+    def __add__(self, other: "_Vector") -> "_Vector":  # type: ignore[override]
+        return _Vector(a + b for a, b in zip(self, other, strict=True))
+
+    def __sub__(self, other: "_Vector") -> "_Vector":
+        return _Vector(a - b for a, b in zip(self, other, strict=True))
+
+    def times(self, factor: Array) -> "_Vector":
+        return _Vector(factor * each for each in self)
+
+    def where(self, condition: Array, other: "_Vector") -> "_Vector":
+        return _Vector(jnp.where(condition, a, b) for a, b in zip(self, other, strict=True))
+
+    def dot(self, other: "_Vector") -> Array:
+        products = [a * b for a, b in zip(self, other, strict=True)]
+        return sum(products[1:], products[0])
+
+    def cross(self, other: "_Vector") -> "_Vector":
+        (x, y, z), (u, v, w) = self, other
+        return _Vector((y * w - z * v, z * u - x * w, x * v - y * u))

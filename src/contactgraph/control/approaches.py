@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from contactgraph.bodies.convex import vertices_of
+from contactgraph.bodies.polygons import vertices_of
 from contactgraph.bodies.rotations import placed
 from contactgraph.model import Nodes
 

@@ -22,6 +22,10 @@ from contactgraph.model.edge_inference import MemorylessEdges as MemorylessEdges
 from contactgraph.model.edge_inference import PriorEdges as PriorEdges
 from contactgraph.model.edge_inference import RecurrentEdges as RecurrentEdges
 from contactgraph.model.edge_inference import TransitionEdges as TransitionEdges
+from contactgraph.model.edges import ClosestApproachPrior as ClosestApproachPrior
+from contactgraph.model.edges import DistancePrior as DistancePrior
+from contactgraph.model.edges import NoCutoff as NoCutoff
+from contactgraph.model.edges import SmoothCutoff as SmoothCutoff
 from contactgraph.model.features import AbsoluteFeatures as AbsoluteFeatures
 from contactgraph.model.features import InvariantFeatures as InvariantFeatures
 from contactgraph.model.features import turn_length_of as turn_length_of
@@ -57,10 +61,6 @@ from contactgraph.model.presets import Inference as Inference
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import ours as ours
-from contactgraph.model.prior import ClosestApproachPrior as ClosestApproachPrior
-from contactgraph.model.prior import DistancePrior as DistancePrior
-from contactgraph.model.prior import NoCutoff as NoCutoff
-from contactgraph.model.prior import SmoothCutoff as SmoothCutoff
 from contactgraph.model.relation_model import relations as relations
 from contactgraph.model.rollout import control_sensitivity as control_sensitivity
 from contactgraph.model.rollout import rollout as rollout

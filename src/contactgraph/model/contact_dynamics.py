@@ -26,7 +26,16 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
-from contactgraph.model.edges import EdgeList, Edges, all_pairs, edge_count
+from contactgraph.model.edges import (
+    ClosestApproachPrior,
+    DistancePrior,
+    EdgeList,
+    Edges,
+    NoCutoff,
+    SmoothCutoff,
+    all_pairs,
+    edge_count,
+)
 from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
 from contactgraph.model.local_dynamics import (
     FreeLinearDynamics,
@@ -35,7 +44,6 @@ from contactgraph.model.local_dynamics import (
     step_geometry,
 )
 from contactgraph.model.motion_noise import PredictionNoise
-from contactgraph.model.prior import ClosestApproachPrior, DistancePrior, NoCutoff, SmoothCutoff
 from contactgraph.model.rollout import control_sensitivity, rollout, take_step
 from contactgraph.model.types import (
     EncodedGraph,

@@ -8,16 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.bodies.convex import Patch
-from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.geometry import Geometry, as_near
 from contactgraph.bodies.pins import with_pins_held
 from contactgraph.bodies.planes import (
+    Patch,
     on_planes,
     plane_geometry,
     rests_on_planes,
     weighed_down,
 )
-from contactgraph.bodies.polygons import as_near
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.constraints import plane_contacts, with_pins

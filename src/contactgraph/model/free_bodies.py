@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.convex import Patch
 from contactgraph.bodies.geometry import Geometry, incidence
+from contactgraph.bodies.planes import Patch
 from contactgraph.model.edges import GroupCapacity
 
 _SLOW = 1e-4

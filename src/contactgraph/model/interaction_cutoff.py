@@ -5,9 +5,9 @@ import dataclasses
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import AllEdges, PriorEdges
+from contactgraph.model.edges import SmoothCutoff
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.message_passing import EdgeNetwork
-from contactgraph.model.prior import SmoothCutoff
 
 
 @dataclasses.dataclass(frozen=True)

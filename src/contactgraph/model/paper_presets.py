@@ -19,6 +19,7 @@ from contactgraph.model.edge_inference import (
     MemorylessEdges,
     RecurrentEdges,
 )
+from contactgraph.model.edges import ClosestApproachPrior, DistancePrior, NoCutoff
 from contactgraph.model.features import AbsoluteFeatures
 from contactgraph.model.heads import PerDegreeHead
 from contactgraph.model.local_dynamics import (
@@ -28,7 +29,6 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
 from contactgraph.model.presets import ModelConfig, Preset, default_cutoff
-from contactgraph.model.prior import ClosestApproachPrior, DistancePrior, NoCutoff
 
 
 class Compared(StrEnum):

@@ -30,6 +30,7 @@ from contactgraph.model.edge_inference import (
     RecurrentEdges,
     TransitionEdges,
 )
+from contactgraph.model.edges import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.local_dynamics import (
     SpringMassDamperDynamics,
@@ -37,7 +38,6 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
-from contactgraph.model.prior import ClosestApproachPrior, NoCutoff, SmoothCutoff
 
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""

@@ -15,13 +15,12 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.edges import all_pairs
+from contactgraph.model.edges import DistancePrior, NoCutoff, all_pairs
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.presets import ModelConfig
-from contactgraph.model.prior import DistancePrior, NoCutoff
 from contactgraph.model.relations import StaticEdges, lasting_types, motion_sums, with_evidence
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
