@@ -19,17 +19,17 @@ import jax.numpy as jnp
 import numpy as np
 from measuring import arguments, medians, report
 
+from contactgraph.bodies.geometry import travel_bound
 from contactgraph.data import pair_indices
+from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
     ContactDynamics,
     ModelState,
-    NeighborList,
     Nodes,
     load_model,
     shipped_model,
     take_step,
 )
-from contactgraph.model.neighbor_list import travel_bound
 
 _ALL_PAIRS = 1000
 """Objects up to which every pair is an edge, too; a single call from here on."""

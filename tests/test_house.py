@@ -17,9 +17,25 @@ MAY_IMPORT = {
     "contactgraph.feedback": set(),
     "contactgraph.parallel": {"contactgraph.data", "contactgraph.ray_cluster"},
     "contactgraph.ray_cluster": {"contactgraph.data", "contactgraph.parallel"},
-    "contactgraph.model": {"contactgraph.data"},
-    "contactgraph.train": {"contactgraph.data", "contactgraph.model"},
-    "contactgraph.control": {"contactgraph.data", "contactgraph.feedback", "contactgraph.model"},
+    "contactgraph.bodies": {"contactgraph.data"},
+    "contactgraph.model": {"contactgraph.data", "contactgraph.bodies"},
+    "contactgraph.large_scenes": {
+        "contactgraph.data",
+        "contactgraph.bodies",
+        "contactgraph.model",
+    },
+    "contactgraph.train": {
+        "contactgraph.data",
+        "contactgraph.bodies",
+        "contactgraph.model",
+        "contactgraph.large_scenes",
+    },
+    "contactgraph.control": {
+        "contactgraph.data",
+        "contactgraph.bodies",
+        "contactgraph.feedback",
+        "contactgraph.model",
+    },
     "contactgraph.envs": {
         "contactgraph.data",
         "contactgraph.interchange",

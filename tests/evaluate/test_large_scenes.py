@@ -11,13 +11,8 @@ from evaluation_worlds import DT, GluedBodies, random_run
 
 from contactgraph.data import Dataset
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.model import (
-    PRESETS,
-    ModelConfig,
-    NeighborList,
-    ReallocatingModel,
-    neighbor_allocation,
-)
+from contactgraph.large_scenes import NeighborList, ReallocatingModel, neighbor_list
+from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.train import FitStatus, TrainConfig, fit, initial_state
 
 COUNT = 6
@@ -39,7 +34,7 @@ def model():
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few bodies are many."""
-    monkeypatch.setattr(neighbor_allocation, "CELLS_FROM", COUNT)
+    monkeypatch.setattr(neighbor_list, "CELLS_FROM", COUNT)
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +57,12 @@ def test_neighbor_lists_do_not_change_results_of_small_scenes(
     model, sparse, monkeypatch, caplog
 ) -> None:
     near = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
-    monkeypatch.setattr(neighbor_allocation, "_MIN_SPARE", -5)
-    monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
+    monkeypatch.setattr(neighbor_list, "_MIN_SPARE", -5)
+    monkeypatch.setattr(neighbor_list, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         grown = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     assert caplog.text.count("compiled again") == 1
-    monkeypatch.setattr(neighbor_allocation, "_MAX_SHARE", 0.0)
+    monkeypatch.setattr(neighbor_list, "_MAX_SHARE", 0.0)
     every = evaluate_open_loop(model, sparse, horizon_s=2 * DT)
     for found in (near, grown):
         for name, value in every.to_json().items():
@@ -123,8 +118,8 @@ def test_the_given_capacity_is_the_limit(model, apart) -> None:
 @pytest.mark.slow
 def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, caplog) -> None:
     every = evaluate_open_loop(model, apart, horizon_s=2 * DT)
-    monkeypatch.setattr(neighbor_allocation, "CELLS_FROM", COUNT)
-    monkeypatch.setattr(neighbor_allocation, "_SPARE", 0.3)
+    monkeypatch.setattr(neighbor_list, "CELLS_FROM", COUNT)
+    monkeypatch.setattr(neighbor_list, "_SPARE", 0.3)
     with caplog.at_level(logging.WARNING):
         near = evaluate_open_loop(model, apart, horizon_s=2 * DT)
     assert caplog.text.count("compiled again") == 1

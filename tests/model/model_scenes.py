@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.bodies.geometry import Geometry, geometry
+from contactgraph.bodies.shapes import meeting
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     PAPER_PRESETS,
@@ -22,18 +24,33 @@ from contactgraph.model import (
     relations,
 )
 from contactgraph.model import PRESETS as NAMED
-from contactgraph.model.collision import geometry
-from contactgraph.model.shapes import meeting
 
 DT = 0.05
 
 
-@eqx.filter_jit
-def jitted_geometry(position, velocity, pairs, contact_distance, **known):
-    """Of round bodies, or of bars about an ``anchor``; pairs [E, 2]."""
-    edge_index = jnp.asarray(pairs).T
-    places = meeting(position, edge_index, known.pop("anchor", None), known.pop("half_size", None))
-    return geometry(position, velocity, places, dt=DT, contact_distance=contact_distance, **known)
+def geometry_of(
+    position,
+    velocity,
+    edge_index,
+    dt,
+    contact_distance,
+    control_displacement=None,
+    *,
+    anchor=None,
+    half_size=None,
+    static=None,
+) -> Geometry:
+    """Of balls, and of bars and boxes where an ``anchor`` or ``half_size`` is given."""
+    return geometry(
+        meeting(position, edge_index, anchor, half_size).with_fixed(static),
+        velocity=velocity,
+        dt=dt,
+        contact_distance=contact_distance,
+        control_displacement=control_displacement,
+    )
+
+
+jitted_geometry = eqx.filter_jit(geometry_of)
 
 
 @eqx.filter_jit

@@ -14,12 +14,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from model_scenes import geometry_of
 
 from contactgraph.model import ThetaMethod, from_physical, stack_state
-from contactgraph.model.collision import geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import FreeBodies
-from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -136,8 +135,7 @@ def moved(
         for half in (state[:N], state[N:])
     )
     nothing, along = jnp.zeros(N), jnp.array([1.0, 0.0])
-    touching = meeting(places, pairs.T, None, None)
-    seen = geometry(places, speeds, touching, dt=DT, contact_distance=0.01)
+    seen = geometry_of(places, speeds, pairs.T, DT, contact_distance=0.01)
     bodies = FreeBodies(
         mass=mass[:, None] * jnp.ones(2),
         velocity=speeds,

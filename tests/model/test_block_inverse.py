@@ -10,14 +10,9 @@ from model_scenes import jitted_geometry
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from contactgraph.bodies.mass_matrix import MassMatrix, solve_dense, spd_inverse
 from contactgraph.data.graph import pair_indices
-from contactgraph.model.block_inverse import (
-    MassMatrix,
-    find_groups,
-    solve_block_diagonal,
-    solve_dense,
-    spd_inverse,
-)
+from contactgraph.large_scenes.block_inverse import find_groups, solve_block_diagonal
 
 COUNT = 7
 
@@ -32,8 +27,8 @@ def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
         hung = np.full((COUNT, 2), np.nan)
         hung[[1, 4]] = rng.normal(size=(2, 2))
         anchor = jnp.asarray(hung)
-    states = map(jnp.asarray, (position, velocity))
-    edge_geometry = jitted_geometry(*states, pairs, 0.08, anchor=anchor)
+    states = map(jnp.asarray, (position, velocity, pairs.T))
+    edge_geometry = jitted_geometry(*states, 0.05, 0.08, anchor=anchor)
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))

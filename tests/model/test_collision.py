@@ -11,8 +11,9 @@ import scipy.optimize
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jax.test_util import check_grads
-from model_scenes import DT
+from model_scenes import DT, geometry_of
 
+from contactgraph.bodies.geometry import Geometry
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ClosestApproachPrior,
@@ -21,8 +22,6 @@ from contactgraph.model import (
     NoCutoff,
     SmoothCutoff,
 )
-from contactgraph.model.collision import Geometry, geometry
-from contactgraph.model.shapes import meeting
 
 TOUCH = 0.08
 
@@ -30,18 +29,7 @@ TOUCH = 0.08
 @jax.jit
 def from_origin(*moved) -> Geometry:
     moved = [jnp.stack([jnp.zeros(len(value)), value]) for value in moved]
-    return _geometry(moved[0], moved[1], pair_indices(2), TOUCH, *moved[2:])
-
-
-def _geometry(position, velocity, pairs, contact_distance, control_displacement=None) -> Geometry:
-    return geometry(
-        position,
-        velocity,
-        meeting(position, jnp.asarray(pairs).T, None, None),
-        dt=DT,
-        contact_distance=contact_distance,
-        control_displacement=control_displacement,
-    )
+    return geometry_of(*moved[:2], jnp.asarray(pair_indices(2)).T, DT, TOUCH, *moved[2:])
 
 
 def between(displacement, velocity, control_displacement=None) -> Geometry:
@@ -133,8 +121,8 @@ def quantities_and_slopes(position, velocity, contact_distance):
 
 
 def scene_quantities(position, velocity, contact_distance, control_displacement=None):
-    pairs = pair_indices(len(position))
-    edges = _geometry(position, velocity, pairs, contact_distance, control_displacement)
+    pairs = jnp.asarray(pair_indices(len(position)))
+    edges = geometry_of(position, velocity, pairs.T, DT, contact_distance, control_displacement)
     features = InvariantFeatures(length=TOUCH)
     # Nothing learns where bodies touch from what is only a guess at it.
     guess = jnp.full_like(edges.distance, TOUCH)

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import geometry_of
 
-from contactgraph.model.collision import Geometry, geometry
+from contactgraph.bodies.geometry import Geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import ContactMotion, FreeBodies
-from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT, TOUCH = 0.05, 0.08
@@ -70,8 +70,7 @@ def solution(
 
 @eqx.filter_jit
 def _solve(net, position, velocity, pairs, anchor, gain, smooth) -> tuple[ContactMotion, Geometry]:
-    places = meeting(position, pairs.T, anchor, None)
-    around = geometry(position, velocity, places, dt=DT, contact_distance=TOUCH)
+    around = geometry_of(position, velocity, pairs.T, DT, TOUCH, anchor=anchor)
     return solution(net, velocity, gain, around, smooth), around
 
 

@@ -7,16 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from model_scenes import geometry_of
 
+from contactgraph.bodies.planes import plane_geometry
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
-from contactgraph.model.collision import geometry
 from contactgraph.model.contacts import Contacts
 from contactgraph.model.free_bodies import FreeBodies
-from contactgraph.model.planes import plane_geometry
-from contactgraph.model.shapes import meeting
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -35,15 +34,7 @@ def stepped(
     """
     count = len(mass)
     edges = jnp.asarray(pair_indices(count)).T
-    found = geometry(
-        position,
-        velocity,
-        meeting(position, edges, None, None),
-        dt=DT,
-        contact_distance=TOUCH,
-        control_displacement=THETA * DT * pushed,
-        static=static,
-    )
+    found = geometry_of(position, velocity, edges, DT, TOUCH, THETA * DT * pushed, static=static)
     meets = (found.fraction_after_impact > 0.0).astype(float)
     nothing = jnp.zeros(edges.shape[1])
     contacts = Contacts(
@@ -252,7 +243,13 @@ def over_a_plane(position, velocity, bounce=0.0, lift=0.0) -> tuple[Contacts, Fr
     nodes = jax.tree.map(jnp.asarray, nodes)
     weight = jnp.array([[0.0, -9.81 * DT]])
     motion = DT * (velocity + weight)
-    found = plane_geometry(position, velocity, motion, jnp.array([0.05]), nodes)
+    found = plane_geometry(
+        nodes,
+        position=position,
+        velocity=velocity,
+        motion=motion,
+        distance=jnp.array([0.05]),
+    )
     meets = jnp.any(found.contact_jacobian[0] != 0.0, axis=(1, 2)).astype(float)
     nothing = jnp.zeros(2)
     contacts = Contacts(

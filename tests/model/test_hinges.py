@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from model_scenes import jitted_geometry
 
-from contactgraph.model.shapes import HingeConstraint, HingedBodies, hinge_constraint
+from contactgraph.bodies.shapes import HingedBodies
+from contactgraph.model.heads import HingeConstraint, hinge_constraint
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.2, -0.1]), np.array([0.3, 0.4])
@@ -110,7 +111,7 @@ def test_contact_with_a_hinged_bar_is_at_its_nearest_point() -> None:
     spin = 0.8  # rad/s
     velocity = np.stack([-1.0 * side, spin * np.array([-ARM[1], ARM[0]])])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    edges = jitted_geometry(*states, [[0, 1]], 0.08, anchor=jnp.asarray(ANCHOR))
+    edges = jitted_geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, anchor=jnp.asarray(ANCHOR))
     np.testing.assert_allclose(edges.distance, [0.1], rtol=1e-6)
     np.testing.assert_allclose(edges.direction, [-side], atol=1e-6)
     # The material at the point turns with the bar, at 0.75 m from the hinge (and 0.1 beside it).
@@ -127,7 +128,7 @@ def test_sliding_along_a_bar_brings_nothing_nearer() -> None:
     body = HINGE + 1.0 * ARM + 0.1 * side
     velocity = np.stack([3.0 * ARM, 0 * ARM])
     states = jnp.asarray([body, HINGE + ARM]), jnp.asarray(velocity)
-    edges = jitted_geometry(*states, [[0, 1]], 0.08, anchor=jnp.asarray(ANCHOR))
+    edges = jitted_geometry(*states, jnp.array([[0], [1]]), 0.05, 0.08, anchor=jnp.asarray(ANCHOR))
     np.testing.assert_allclose(edges.closest_approach, edges.distance, rtol=1e-9)
     assert edges.fraction_after_impact[0] == 0
 
@@ -163,7 +164,7 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 def circles(hold, slip: float = 0.0) -> HingeConstraint:
     states = [jnp.asarray(values) for values in scene(slip)]
-    edges = jitted_geometry(*states, PAIRS, 0.08, anchor=jnp.asarray(ANCHORS))
+    edges = jitted_geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, anchor=jnp.asarray(ANCHORS))
     return jitted_constraint(
         jnp.asarray(ANCHORS), *states, np.array(hold), edges.edge_index, edges.relative_velocity
     )

@@ -12,6 +12,10 @@ import pytest
 from model_scenes import follow, slippery_bodies
 from scipy.spatial.transform import Rotation
 
+from contactgraph.bodies.planes import plane_points
+from contactgraph.bodies.polygons import contact_points
+from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene, generalized_coordinates
 from contactgraph.data.outlines import hull_moments, hull_rows
 from contactgraph.data.trajectory_batch import pad_nodes
@@ -19,9 +23,6 @@ from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
 from contactgraph.model.body_types import DECELERATION, PACE
 from contactgraph.model.contact_belief import nothing_active
-from contactgraph.model.polygons import contact_points, plane_points
-from contactgraph.model.rotations import composed, levers, placed, rotation_matrix
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph
 
 pytestmark = pytest.mark.usefixtures("double_precision")

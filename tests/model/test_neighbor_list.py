@@ -12,24 +12,25 @@ import numpy as np
 import pytest
 from model_scenes import DT, assert_same, crowd, hinged, nodes_of, preset
 
+from contactgraph.bodies.geometry import travel_bound
 from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
+from contactgraph.large_scenes import NeighborList, allocate_neighbor_list
+from contactgraph.large_scenes.neighbor_list import unordered_edge_id
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
     ContactSensor,
     ModelConfig,
-    NeighborList,
     Nodes,
     SmoothCutoff,
-    allocate_neighbor_list,
     check_motion_model,
     correct,
     load_model,
     save_model,
     two_type_belief,
 )
-from contactgraph.model.neighbor_list import edge_nodes, travel_bound, unordered_edge_id
+from contactgraph.model.edges import edge_nodes
 
 FAR = 0.25
 

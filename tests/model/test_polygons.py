@@ -12,14 +12,14 @@ import pytest
 import shapely
 from model_scenes import follow, slippery_bodies
 
+from contactgraph.bodies.polygons import contact_points
+from contactgraph.bodies.rotations import levers, placed, turned
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.outlines import signed_area
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
 from contactgraph.model.contact_belief import ContactBelief
 from contactgraph.model.filter import check_fit
-from contactgraph.model.polygons import contact_points
-from contactgraph.model.rotations import levers, placed, turned
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from model_scenes import geometry_of
 
+from contactgraph.bodies.shapes import box_displacement
 from contactgraph.data.scene import box_distance
-from contactgraph.model.collision import geometry
-from contactgraph.model.shapes import box_displacement, meeting
 
 HALF = np.array([0.1, 0.2, 0.05])
 DT = 0.04
@@ -53,14 +53,13 @@ def test_within_a_box_the_nearest_side_counts() -> None:
 
 
 def _met(position, velocity) -> tuple[float, np.ndarray]:
-    position = jnp.stack([jnp.zeros(2), position])
-    half_size = jnp.array([[0.05, 0.1], [0.0, 0.0]])
-    found = geometry(
-        position,
+    found = geometry_of(
+        jnp.stack([jnp.zeros(2), position]),
         jnp.stack([jnp.zeros(2), velocity]),
-        meeting(position, jnp.array([[0], [1]]), None, half_size),
-        dt=DT,
-        contact_distance=0.07,
+        jnp.array([[0], [1]]),
+        DT,
+        0.07,
+        half_size=jnp.array([[0.05, 0.1], [0.0, 0.0]]),
     )
     return found.time_of_impact[0], found.normal[0]
 

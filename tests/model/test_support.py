@@ -10,6 +10,7 @@ import pytest
 from model_scenes import jitted_geometry, with_random_weights
 
 from contactgraph.data import pair_indices
+from contactgraph.large_scenes.block_inverse import GroupsOf
 from contactgraph.model import (
     PRESETS,
     ContactBelief,
@@ -108,13 +109,13 @@ def test_carried_is_the_best_chain_to_an_actuated_node() -> None:
     position = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
     pairs = pair_indices(4)
     hold = jnp.asarray([{(0, 1): 0.9, (1, 2): 0.5}.get((i, j), 0.0) for i, j in pairs.tolist()])
-    edges = jitted_geometry(position, np.zeros((4, 3)), pairs, 0.05)
+    edges = jitted_geometry(position, np.zeros((4, 3)), jnp.asarray(pairs.T), DT, 0.05)
     actuated = jnp.asarray([1.0, 0.0, 0.0, 0.0])
     share = jitted_fraction(actuated, hold, edges)
     assert np.allclose(share, [1.0, 0.9, 0.45, 0.0])
     # Propagated along the edges, where no more than so many hold each other.
-    assert np.array_equal(jitted_fraction(actuated, hold, edges, 3), share)
-    assert not np.array_equal(jitted_fraction(actuated, hold, edges, 2), share)
+    assert np.array_equal(jitted_fraction(actuated, hold, edges, GroupsOf(3)), share)
+    assert not np.array_equal(jitted_fraction(actuated, hold, edges, GroupsOf(2)), share)
 
 
 def test_a_given_contact_distance_is_not_a_model_weight() -> None:

@@ -12,6 +12,7 @@ import pytest
 from model_scenes import DT, compiled, nodes_of, slippery_bodies, with_random_weights
 
 from contactgraph.data import InvalidInputError
+from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -19,7 +20,6 @@ from contactgraph.model import (
     EdgeNetwork,
     ModelConfig,
     ModelState,
-    NeighborList,
     TransitionEdges,
     correct,
     ours,

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from training import window_of
 
-from contactgraph.model import PRESETS, ContactDynamics, ModelConfig, NeighborList
+from contactgraph.large_scenes import NeighborList
+from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
 from contactgraph.train import LossTerms
 from contactgraph.train import loss as chunked_vmap
 from contactgraph.train.batch import Window

@@ -38,6 +38,7 @@ from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
+from contactgraph.control.program_store import note_bindings
 from contactgraph.control.receding import RecedingILQR as RecedingILQR
 from contactgraph.control.riccati import LQRProblem as LQRProblem
 from contactgraph.control.routes import RouteILQR as RouteILQR
@@ -45,6 +46,6 @@ from contactgraph.control.search import SearchILQR as SearchILQR
 from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
-from contactgraph.model.program_store import note_bindings
 
-note_bindings("contactgraph.control")
+for room in ("data", "bodies", "model", "control"):
+    note_bindings(f"contactgraph.{room}")

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from contactgraph.bodies.polygons import vertices_of
+from contactgraph.bodies.rotations import placed
 from contactgraph.model import Nodes
-from contactgraph.model.convex import vertices_of
-from contactgraph.model.rotations import placed
 
 _STAND_OFF, _ROUND = 1.5, 1.9
 """Contact distances from the body: where a push begins at the nearest, and on the way round."""

@@ -14,6 +14,7 @@ from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import placed
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
+from contactgraph.control.program_store import stored
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import (
     ContactSensor,
@@ -24,7 +25,6 @@ from contactgraph.model import (
     with_masses,
 )
 from contactgraph.model.filter import FilterState, first_filter_state, update
-from contactgraph.model.program_store import stored
 
 
 class MPCCarry(eqx.Module):

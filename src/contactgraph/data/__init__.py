@@ -25,10 +25,8 @@ from contactgraph.data.scene import Scene as Scene
 from contactgraph.data.trajectory import Trajectory as Trajectory
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import TrajectoryBatch as TrajectoryBatch
-from contactgraph.data.trajectory_batch import (
-    generalized_coordinates as generalized_coordinates,
-)
 from contactgraph.data.trajectory_batch import pad_trajectories as pad_trajectories
+from contactgraph.data.turns import generalized_coordinates as generalized_coordinates
 from contactgraph.data.windows import MOVES_M as MOVES_M
 from contactgraph.data.windows import Windows as Windows
 from contactgraph.data.windows import check_window_length as check_window_length

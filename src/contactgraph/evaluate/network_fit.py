@@ -12,7 +12,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from contactgraph.data import Dataset, Trajectory, split_by_trajectory
-from contactgraph.data.trajectory_batch import generalized_coordinates
+from contactgraph.data.turns import generalized_coordinates
 from contactgraph.evaluate.interaction_network import InteractionNetwork
 from contactgraph.evaluate.network_inputs import (
     NetworkWindows,

@@ -35,10 +35,10 @@ from contactgraph.evaluate.open_loop_metrics import (
 )
 from contactgraph.evaluate.prediction_windows import trajectory_detail
 from contactgraph.evaluate.sensor_faults import SensorFaults
+from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
     ContactSensor,
     MotionNoise,
-    ReallocatingModel,
     StepModel,
     check_motion_model,
     default_sensor,

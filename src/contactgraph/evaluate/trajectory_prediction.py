@@ -20,8 +20,8 @@ from contactgraph.model import (
     rollout,
 )
 from contactgraph.model.body_mass import MassBelief, with_masses
+from contactgraph.model.edges import edge_count
 from contactgraph.model.filter import filter_trajectory
-from contactgraph.model.neighbor_list import edge_count
 
 _SMALL_GRAPH = 28
 """Edges up to which batched rollouts are faster on a CPU than sequential ones (at 66 edges the

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.bodies.geometry import relative_at_edges
 from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.model.block_inverse import relative_at_edges
 from contactgraph.model.free_bodies import ContactMotion
 from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
 

@@ -5,14 +5,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from contactgraph.bodies.geometry import Joined
+from contactgraph.bodies.mass_matrix import MassMatrix
+from contactgraph.bodies.pins import joined_with_pins, pin_joints
+from contactgraph.bodies.planes import rests_on_planes
+from contactgraph.bodies.rotations import stepped_turns
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import ActuatedMotion, Actuation
-from contactgraph.model.block_inverse import MassMatrix
-from contactgraph.model.collision import Joined
 from contactgraph.model.contacts import damper_of, solved
-from contactgraph.model.pins import joined_with_pins, pin_joints
-from contactgraph.model.planes import rests_on_planes
-from contactgraph.model.rotations import stepped_turns
+from contactgraph.model.edges import GroupCapacity
 from contactgraph.model.types import EncodedGraph
 
 PACE = 5.0
@@ -94,8 +95,16 @@ class BodyTypes(eqx.Module):
         if nodes.gravity is not None:
             if nodes.planes is None or velocity.shape[1] != 6:
                 return velocity
-            at = position, velocity, self._plane_distance(node_type), nodes, dt
-            on_ground = rests_on_planes(*at, turns, self.turn_length, self.length)
+            on_ground = rests_on_planes(
+                nodes,
+                position=position,
+                velocity=velocity,
+                distance=self._plane_distance(node_type),
+                turns=turns,
+                turn_length=self.turn_length,
+                length=self.length,
+                dt=dt,
+            )
             damper, slowing = on_ground * damper, on_ground * slowing
         energy = jnp.sum(self.mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
@@ -115,7 +124,7 @@ class BodyTypes(eqx.Module):
         *,
         theta: Array,
         dt: float,
-        capacity: int | None,
+        capacity: GroupCapacity | None,
     ) -> Float[Array, "N G"]:
         """m; how far the control alone moves each node in a step, with what ``holds`` (1, else 0).
 

@@ -12,19 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from contactgraph.bodies.geometry import Geometry, Joined, geometry, travel_bound
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.turns import coordinate_count
-from contactgraph.model.collision import (
-    ClosestApproachPrior,
-    DistancePrior,
-    Geometry,
-    Joined,
-    NoCutoff,
-    SmoothCutoff,
-    geometry,
-    without_static,
-)
 from contactgraph.model.contact_belief import (
     ArgmaxSample,
     ContactBelief,
@@ -35,19 +27,21 @@ from contactgraph.model.contact_belief import (
     without_change,
 )
 from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
-from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
-from contactgraph.model.motion_noise import PredictionNoise
-from contactgraph.model.neighbor_list import (
+from contactgraph.model.edges import (
+    ClosestApproachPrior,
+    DistancePrior,
+    EdgeList,
     Edges,
-    NeighborList,
+    NoCutoff,
+    SmoothCutoff,
     all_pairs,
     edge_count,
     edge_nodes,
-    travel_bound,
 )
+from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
+from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.rollout import rollout, take_step
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import (
     EncodedGraph,
     LinearDynamics,
@@ -80,7 +74,7 @@ class ContactDynamics(eqx.Module):
     """s"""
     dimension: int = eqx.field(static=True)
     control_size: int = eqx.field(static=True)
-    neighbor_list: NeighborList | None = None
+    neighbor_list: EdgeList | None = None
     """Restricts edges to near pairs. None: every pair is an edge."""
     prediction_noise: PredictionNoise | None = None
     """Learned errors of the predicted motion. None: not learned."""
@@ -187,7 +181,7 @@ class ContactDynamics(eqx.Module):
             embedding=embedding,
             prior=self._prior(edge_geometry, weight),
             active=jnp.repeat(weight[:, None], self.inference.edge_types - 1, axis=1),
-            group_capacity=None if capacity is None else capacity.group_capacity,
+            group_capacity=None if capacity is None else capacity.groups,
         )
 
     def _control_displacement(
@@ -212,8 +206,7 @@ class ContactDynamics(eqx.Module):
         jacobian = jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.jacobian
         # The nearest places of all edges come first.
         jacobian = jacobian[:, : edge_index.shape[1]]
-        static = nodes.static if self.features.types else None
-        held = Joined(edge_index, without_static(jacobian, edge_index, static))
+        held = Joined(edge_index, jacobian)
         holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
         displacement = self.local_dynamics.control_displacement(
             position,
@@ -225,7 +218,7 @@ class ContactDynamics(eqx.Module):
             held,
             holds.astype(position.dtype),
             dt=self.dt,
-            capacity=None if self.neighbor_list is None else self.neighbor_list.group_capacity,
+            capacity=None if self.neighbor_list is None else self.neighbor_list.groups,
         )
         return None if displacement is None else displacement.astype(velocity.dtype)
 
@@ -252,19 +245,14 @@ class ContactDynamics(eqx.Module):
         displacement: Float[Array, "N D"] | None,
     ) -> Geometry:
         """`EncodedGraph.contact_points` of a step of ``dt`` [s]."""
-        if isinstance(contact_distance, Array) and contact_distance.ndim:
-            places, edges = meeting.edge_index.shape[1], max(1, len(contact_distance))
-            contact_distance = jnp.tile(contact_distance, places // edges)
         return geometry(
-            position,
-            velocity,
             meeting,
+            velocity=velocity,
             dt=dt,
-            contact_distance=contact_distance,
+            contact_distance=jnp.resize(contact_distance, meeting.edge_index.shape[1:]),
             control_displacement=displacement,
-            static=nodes.static if self.features.types else None,  # not known without types
-            speed=self.features.speed,
             coasting=self.local_dynamics.coasting(position, velocity, node_type, nodes, turns, dt),
+            speed=self.features.speed,
         )
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:

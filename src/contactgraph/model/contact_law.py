@@ -8,21 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from contactgraph.bodies.geometry import Geometry, as_near
+from contactgraph.bodies.pins import pin_joints, with_pins_held
+from contactgraph.bodies.planes import Patch, on_planes, plane_geometry, weighed_down
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.body_types import PACE, BodyTypes
-from contactgraph.model.collision import Geometry
+from contactgraph.model.constraints import pin_contacts, plane_contacts
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.model.convex import Patch
 from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.pins import pin_joints, with_pins_held
-from contactgraph.model.planes import (
-    on_planes,
-    plane_contacts,
-    plane_geometry,
-    weighed_down,
-)
-from contactgraph.model.polygons import as_near
 from contactgraph.model.types import EncodedGraph, SpringMassDamper
 
 _SOFTEST = 0.5
@@ -142,9 +136,8 @@ class ContactLaw(BodyTypes):
         pins = pin_joints(nodes, graph.turns, mass, self.turn_length)
         if pins is not None:
             motion_until = dt * (braked.velocity + theta * displaced)
-            contacts = contacts.and_also(
-                pins.contacts(graph.position, braked.velocity, motion_until)
-            )
+            joints = pins.geometry(graph.position, braked.velocity, motion_until)
+            contacts = contacts.and_also(pin_contacts(pins, joints))
         lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
@@ -258,12 +251,25 @@ class ContactLaw(BodyTypes):
         velocity if they do not touch."""
         motion = dt * (graph.velocity + driven)
         distance = self._plane_distance(graph.node_type)
-        at = graph.position, graph.velocity, motion, distance, graph.nodes
-        shape = () if self.turn_length is None else (graph.turns, self.turn_length, self.length)
-        geometry = plane_geometry(*at, *shape)
-        laws = self.laws(graph.node_type, geometry.edge_index[0])
-        displacing = self._displacing(geometry, theta)
-        return plane_contacts(geometry, _ONE_SIDED * self.length, laws, displacing, self.averaged)
+        geometry = plane_geometry(
+            graph.nodes,
+            position=graph.position,
+            velocity=graph.velocity,
+            motion=motion,
+            distance=distance,
+            turns=graph.turns,
+            turn_length=self.turn_length,
+            length=self.length,
+        )
+        bounce, friction = self.laws(graph.node_type, geometry.edge_index[0])
+        return plane_contacts(
+            geometry,
+            softness=_ONE_SIDED * self.length,
+            bounce=bounce,
+            friction=friction,
+            displacing_fraction=self._displacing(geometry, theta),
+            averaged=self.averaged,
+        )
 
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.

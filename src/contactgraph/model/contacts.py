@@ -8,15 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.model.block_inverse import (
-    MassMatrix,
-    MassMatrixSolution,
-    relative_at_edges,
-    solve_block_diagonal,
-    solve_dense,
-    to_nodes,
-)
-from contactgraph.model.collision import Geometry
+from contactgraph.bodies.geometry import Geometry, relative_at_edges, to_nodes
+from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution, solve_dense
+from contactgraph.model.edges import GroupCapacity
 from contactgraph.model.free_bodies import (
     ContactMotion,
     FreeBodies,
@@ -75,7 +69,7 @@ class Contacts(eqx.Module):
     """1 for pins, whose ``bounce`` acts along all axes and both ways, else 0."""
 
     def solve(
-        self, bodies: FreeBodies, dt: float, capacity: int | None, rough: bool = True
+        self, bodies: FreeBodies, dt: float, capacity: GroupCapacity | None, rough: bool = True
     ) -> ContactMotion:
         """One step of ``dt`` [s]; ``capacity``: most nodes that are coupled, None: no limit;
         ``rough``: whether anything bounces, rubs or decelerates; else one solution is enough.
@@ -129,7 +123,9 @@ class Contacts(eqx.Module):
             ground_share=solved.diagonal * ground,
         )
 
-    def _solve_smooth(self, bodies: FreeBodies, dt: float, capacity: int | None) -> ContactMotion:
+    def _solve_smooth(
+        self, bodies: FreeBodies, dt: float, capacity: GroupCapacity | None
+    ) -> ContactMotion:
         """`solve` where nothing bounces, rubs or is slowed but by dampers: at once."""
         mass, count = bodies.mass, len(bodies.mass)
         sliding, stiffness = self.geometry.along(1.0 - self.touching), self.damper + self.spring
@@ -187,7 +183,7 @@ class Contacts(eqx.Module):
         self,
         bodies: FreeBodies,
         dt: float,
-        capacity: int | None,
+        capacity: GroupCapacity | None,
         among: Bool[Array, " C"] | bool = True,
     ) -> "Contacts":
         """These contacts without touches that would pull, such as at the corner that lifts off
@@ -280,7 +276,7 @@ def _solve_each(
     stiffness: list[Float[Array, " C"]],
     geometry: list[Geometry],
     vectors: list[list[Float[Array, "N G c"]]],
-    capacity: int | None,
+    capacity: GroupCapacity | None,
 ) -> list[_Solved]:
     """`_solve` of several scenes of the same bodies, as one batch: one program to compile."""
     widths = [sum(part.shape[-1] for part in parts) for parts in vectors]
@@ -308,7 +304,7 @@ def _solve(
     stiffness: Float[Array, " C"],
     geometry: Geometry,
     vectors: list[Float[Array, "N G c"]],
-    capacity: int | None,
+    capacity: GroupCapacity | None,
 ) -> _Solved:
     matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
     found = solved(matrix, right, capacity)
@@ -317,12 +313,10 @@ def _solve(
 
 
 def solved(
-    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: int | None
+    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: GroupCapacity | None
 ) -> MassMatrixSolution:
-    """By groups of at most ``capacity`` coupled nodes; None: all at once."""
-    if capacity is None:
-        return solve_dense(matrix, vectors)
-    return solve_block_diagonal(matrix, vectors, capacity)
+    """By groups of coupled nodes of this ``capacity``; None: all at once."""
+    return solve_dense(matrix, vectors) if capacity is None else capacity.solve(matrix, vectors)
 
 
 def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N G 1"]:

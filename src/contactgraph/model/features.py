@@ -7,11 +7,11 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.pins import apart_from_pins
+from contactgraph.bodies.polygons import polygon_meeting
+from contactgraph.bodies.shapes import Meeting, meeting
 from contactgraph.data.trajectory_batch import type_id
-from contactgraph.model.collision import Geometry
-from contactgraph.model.pins import apart_from_pins
-from contactgraph.model.polygons import polygon_meeting
-from contactgraph.model.shapes import Meeting, meeting
 from contactgraph.model.types import Nodes
 
 _NEAR = 0.03
@@ -107,12 +107,21 @@ class InvariantFeatures(eqx.Module):
     def meeting(
         self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
     ) -> Meeting:
-        """Where nodes `shaped` meet: the `polygon_meeting` of bodies that turn."""
+        """The places at which nodes `shaped` meet, of which those never move that the scene says,
+        where types have names."""
         if self.turn_length is None or nodes.outlines is None:
-            return meeting(position, edge_index, nodes.anchor, nodes.half_size)
-        turns = self.turns(nodes, position.dtype)
-        units = self.turn_length, self.length, self.margin
-        return polygon_meeting(nodes.outlines, position, turns, edge_index, *units)
+            found = meeting(position, edge_index, nodes.anchor, nodes.half_size)
+        else:
+            found = polygon_meeting(
+                nodes.outlines,
+                position,
+                self.turns(nodes, position.dtype),
+                edge_index,
+                turn_length=self.turn_length,
+                length=self.length,
+                margin=self.margin,
+            )
+        return found.with_fixed(nodes.static if self.types else None)
 
     def distances(
         self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike

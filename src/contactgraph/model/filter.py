@@ -21,8 +21,8 @@ from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import AbsoluteFeatures, turn_length_of
 from contactgraph.model.local_dynamics import FreeLinearDynamics
-from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
-from contactgraph.model.motion_noise import Motion
+from contactgraph.model.motion_likelihood import check_motion_model, correct_by_motion
+from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel
 
 

@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.model.collision import Geometry
-from contactgraph.model.convex import Patch
+from contactgraph.bodies.geometry import Geometry, incidence
+from contactgraph.bodies.planes import Patch
+from contactgraph.model.edges import GroupCapacity
 
 _SLOW = 1e-4
 """See `FreeBodies.slow`, in units of speed."""
@@ -65,7 +66,7 @@ def lifted_fraction(
     actuated: Float[Array, " N"],
     coupling: Float[Array, " E"],
     geometry: Geometry,
-    group_capacity: int | None = None,
+    group_capacity: GroupCapacity | None = None,
 ) -> Float[Array, " N"]:
     """Lifted fraction of each node, in [0, 1]: the strongest chain of edges to an actuated node.
 
@@ -75,12 +76,12 @@ def lifted_fraction(
     count, edge_index = actuated.shape[0], geometry.edge_index
     share = actuated.astype(coupling.dtype)
     if group_capacity is not None:
-        for _ in range(group_capacity - 1):
+        for _ in range(group_capacity.nodes - 1):
             arriving = (coupling * share[edge_index[::-1]]).reshape(-1)
             best = jax.ops.segment_max(arriving, edge_index.reshape(-1), count)
             share = jnp.maximum(share, best)
         return share
-    first, second = geometry.incidence(count)
+    first, second = incidence(edge_index, count).astype(coupling.dtype)
     couplings = first.T @ (coupling[:, None] * second)
     couplings = couplings + couplings.T
     for _ in range(count - 1):

@@ -6,12 +6,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.shapes import hinge_constraint
+from contactgraph.bodies.geometry import sum_at_nodes
+from contactgraph.bodies.shapes import HingedBodies
 from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper, own_component
 
+_MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
+_RESTING_SPEED = 0.1
+"""Relative speed, m/s, well below which two coupled bodies are at rest against each other."""
 
 
 def coupling_starts(active_types: int) -> np.ndarray:
@@ -22,6 +26,67 @@ def coupling_starts(active_types: int) -> np.ndarray:
     """
     further = np.arange(1, active_types - 1)
     return np.append(np.full(min(active_types, 2), 5.0), np.log((active_types - 1) / further - 1.0))
+
+
+class HingeConstraint(eqx.Module):
+    r"""Springs towards the hinges, and the projection of predicted positions onto circles.
+
+    A spring of rate $\omega^2$ keeps a body turning about the spring's end. A hinged node has its
+    own; a free node that is coupled to hinged ones has a share of theirs.
+    """
+
+    stiffness_rate: Float[Array, " N"]
+    """k/m, 1/s^2."""
+    center: Float[Array, "N D"]
+    """m; the node's own position where it does not turn."""
+    radius: Float[Array, " N"]
+    """m; distance from the center that is to be kept."""
+    strength: Float[Array, " N"]
+    """Share in [0, 1] of the deviation from the circle that the projection removes."""
+
+    def projection(self, position: Float[Array, "N D"]) -> Float[Array, "N D"]:
+        """Displacement [m] of predicted positions onto their circles."""
+        radius_vector = position - self.center
+        length = jnp.sqrt(jnp.sum(radius_vector**2, axis=-1) + _MIN_WEIGHT)
+        return (self.strength * (self.radius / length - 1.0))[:, None] * radius_vector
+
+
+def hinge_constraint(
+    anchor: Float[Array, "N D"],
+    position: Float[Array, "N D"],
+    velocity: Float[Array, "N D"],
+    coupling: Float[Array, " E"],
+    edge_index: Int[Array, "2 E"],
+    relative_velocity: Float[Array, "E D"],
+) -> HingeConstraint:
+    """The constraint of a step in which nodes move with `velocity` [m/s].
+
+    `coupling` in [0, 1] is that of each edge, `relative_velocity` [m/s] that of its second node
+    against its first; `anchor` [m] is NaN where a node has no hinge.
+    """
+    count = position.shape[0]
+    bodies = HingedBodies(position, anchor)
+    turning = jnp.sum(velocity**2, axis=-1) / bodies.radius_squared
+    other = edge_index[::-1]
+    # From the hinged end of an edge to its free end.
+    passes = bodies.hinged[other] & ~bodies.hinged[edge_index]
+    weight = jnp.where(passes, coupling, 0.0)
+    square = jnp.sum(relative_velocity**2, axis=-1)
+    resting = weight * _RESTING_SPEED**2 / (square + _RESTING_SPEED**2)
+    total = sum_at_nodes(weight, edge_index, count)
+    share = jnp.minimum(1.0, 1.0 / jnp.maximum(total, _MIN_WEIGHT))
+    rate = share * sum_at_nodes(weight * turning[other], edge_index, count)
+    shared_center = sum_at_nodes(weight[..., None] * bodies.anchor[other], edge_index, count)
+    shared_center = shared_center / jnp.maximum(total, _MIN_WEIGHT)[:, None]
+    shared_center = jnp.where((total > _MIN_WEIGHT)[:, None], shared_center, position)
+    center = jnp.where(bodies.hinged[:, None], bodies.anchor, shared_center)
+    strength = share * sum_at_nodes(resting, edge_index, count)
+    return HingeConstraint(
+        stiffness_rate=jnp.where(bodies.hinged, turning, rate),
+        center=center,
+        radius=jnp.sqrt(jnp.sum((position - center) ** 2, axis=-1) + _MIN_WEIGHT),
+        strength=jnp.where(bodies.hinged, 1.0, strength),
+    )
 
 
 def with_hinge_springs(

@@ -2,10 +2,10 @@
 
 import dataclasses
 
-from contactgraph.model.collision import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.edge_inference import AllEdges, PriorEdges
+from contactgraph.model.edges import SmoothCutoff
 from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.message_passing import EdgeNetwork
 

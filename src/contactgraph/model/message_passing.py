@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.neighbor_list import sum_at_nodes
+from contactgraph.bodies.geometry import sum_at_nodes
 
 
 class _Round(eqx.Module):

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import (
@@ -36,7 +37,6 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _CONSIDERED = 8

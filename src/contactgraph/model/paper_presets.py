@@ -11,7 +11,6 @@ from functools import partial
 import jax
 from jaxtyping import PRNGKeyArray
 
-from contactgraph.model.collision import ClosestApproachPrior, DistancePrior, NoCutoff
 from contactgraph.model.contact_belief import ArgmaxSample, GumbelSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import (
@@ -20,6 +19,7 @@ from contactgraph.model.edge_inference import (
     MemorylessEdges,
     RecurrentEdges,
 )
+from contactgraph.model.edges import ClosestApproachPrior, DistancePrior, NoCutoff
 from contactgraph.model.features import AbsoluteFeatures
 from contactgraph.model.heads import PerDegreeHead
 from contactgraph.model.local_dynamics import (

@@ -19,7 +19,6 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.impact_fit import Impacts
 from contactgraph.model.actuation import Actuation
 from contactgraph.model.body_starts import told_numbers, with_impacts, with_shapes, with_slowing
-from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
@@ -31,6 +30,7 @@ from contactgraph.model.edge_inference import (
     RecurrentEdges,
     TransitionEdges,
 )
+from contactgraph.model.edges import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.local_dynamics import (
     SpringMassDamperDynamics,

@@ -12,17 +12,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.model.collision import DistancePrior, NoCutoff
 from contactgraph.model.contact_belief import ContactBelief, nothing_active
+from contactgraph.model.edges import DistancePrior, NoCutoff, all_pairs
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.neighbor_list import all_pairs
 from contactgraph.model.presets import ModelConfig
 from contactgraph.model.relations import StaticEdges, lasting_types, motion_sums, with_evidence
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 
 _EVERYWHERE = 1e9

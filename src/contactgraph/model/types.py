@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.model.collision import Geometry
 from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.shapes import Meeting
+from contactgraph.model.edges import GroupCapacity
 
 _MIN_INVERSE_MASS = 1e-6
 
@@ -197,7 +198,7 @@ class EncodedGraph(eqx.Module):
     """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
     active: Float[Array, "E active"]
     """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
-    group_capacity: int | None = eqx.field(static=True)
+    group_capacity: GroupCapacity | None = eqx.field(static=True)
     """Most nodes that are coupled, directly or through others. None: no limit."""
 
 

@@ -14,10 +14,10 @@ from jaxtyping import Array, PyTree
 from contactgraph.data.dataset import Dataset, near_origin, with_edge_labels
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
+from contactgraph.large_scenes.neighbor_list import ReallocatingModel
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.motion_likelihood import TrajectoryModel
-from contactgraph.model.neighbor_allocation import ReallocatingModel
 from contactgraph.train.advance import advance_steps, optimiser_of
 from contactgraph.train.batch import (
     WindowSource,

@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.neighbor_list import NeighborList
+from contactgraph.model.edges import EdgeList
 from contactgraph.train.held_out import HeldOutBaselines
 
 _TIE = 1e-3
@@ -45,7 +45,7 @@ class FitState(eqx.Module):
         return f"FitState(step {self.step}, best_error {self.best_error} m, {self.model!r})"
 
 
-def with_lists(state: FitState, lists: NeighborList | None) -> FitState:
+def with_lists(state: FitState, lists: EdgeList | None) -> FitState:
     """The state with these lists in the models, and in the averages that mirror them."""
 
     def is_model(part: object) -> bool:

@@ -17,9 +17,9 @@ from contactgraph.data.windows import moving_bodies
 from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import AllEdges, TransitionEdges
+from contactgraph.model.edges import edge_count
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.motion_likelihood import TrajectoryModel
-from contactgraph.model.neighbor_list import edge_count
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
 from contactgraph.train.judged_steps import JudgedSteps, with_window_masses

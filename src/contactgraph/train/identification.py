@@ -15,7 +15,7 @@ from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import window_weights
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.neighbor_list import edge_count
+from contactgraph.model.edges import edge_count
 from contactgraph.train.batch import Window, window_source
 from contactgraph.train.filter_loss import given_steps
 from contactgraph.train.loss import chunked_vmap

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses, with_masses
 from contactgraph.model.contact_belief import (
     ContactBelief,
@@ -19,7 +20,6 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, ModelState
 from contactgraph.train.batch import WholeTrajectories, Window, draw_by
 from contactgraph.train.loss import WindowSteps

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.edges import edge_count
 from contactgraph.model.motion_noise import Motion
-from contactgraph.model.neighbor_list import edge_count
-from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState
 from contactgraph.train.batch import Window
 

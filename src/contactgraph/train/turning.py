@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from contactgraph.bodies.polygons import contact_points
+from contactgraph.bodies.rotations import placed
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_indices, passive_nodes
 from contactgraph.data.outlines import hull_moments, signed_area
@@ -16,8 +18,6 @@ from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import generalized_coordinates
-from contactgraph.model.polygons import contact_points
-from contactgraph.model.rotations import placed
 
 _NEAREST = 0.005
 """Share of the states that may lie nearer to a plane than a body that touches it."""

@@ -42,12 +42,9 @@ class SimulatedArm:
     """A `Robot` and a `Clock`: the task's arm in MuJoCo."""
 
     def __init__(self, seed: int, sensor: bool) -> None:
+        from contactgraph_franka.envs.arm_model import inverse_kinematics
         from contactgraph_franka.envs.arm_world import ArmWorld
-        from contactgraph_franka.envs.franka_task import (
-            FrankaTask,
-            inverse_kinematics,
-            sample_layout,
-        )
+        from contactgraph_franka.envs.franka_task import FrankaTask, sample_layout
 
         task = FrankaTask()
         layout = sample_layout(np.random.default_rng(seed), 0)

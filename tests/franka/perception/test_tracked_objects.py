@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from contactgraph_franka.perception.perception import PositionMeasurement
 from contactgraph_franka.perception.tracked_objects import GraspOffsetHistory, TrackedObjects
+from contactgraph_franka.perception.tracker import PositionMeasurement
 from contactgraph_franka.recording import smooth_track
 
 RATE, DELAY, NOISE = 30.0, 0.055, 0.001

@@ -10,17 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.control import ILQR, ActiveSetMPC, chain_cost
+from contactgraph.bodies import geometry
+from contactgraph.control import ILQR, ActiveSetMPC, chain_cost, program_store
 from contactgraph.control.box_qp import ControlLimits
+from contactgraph.control.program_store import stored
 from contactgraph.envs import PickupTask
 from contactgraph.model import (
-    collision,
     load_model,
-    program_store,
     scene_nodes,
     shipped_model,
 )
-from contactgraph.model.program_store import stored
 
 LIMITS = ControlLimits(jnp.zeros(2), jnp.ones(2))
 Step = Callable[[Any, jax.Array], Any]
@@ -173,7 +172,7 @@ def test_a_function_that_is_rebound_is_traced(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program()[0](LIMITS, jnp.ones(3))
-    monkeypatch.setattr(collision, "geometry", lambda *_: None)
+    monkeypatch.setattr(geometry, "geometry", lambda *_: None)
     step, traces = program()
     step(LIMITS, jnp.ones(3))
     assert traces

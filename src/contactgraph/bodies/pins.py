@@ -1,16 +1,21 @@
-"""Pins: joints of two bodies that let them turn, as contacts and as a projection after the step."""
+"""Pins: joints of two bodies that let them turn, as rows and as a projection after the step."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.geometry import (
+    Geometry,
+    Joined,
+    along_normals,
+    dense_jacobian,
+    relative_motion,
+)
+from contactgraph.bodies.mass_matrix import dense_inverse, product
+from contactgraph.bodies.rotations import levers, turned
 from contactgraph.data.graph import edge_id
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.block_inverse import dense_inverse, product
-from contactgraph.model.collision import Geometry, Joined
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.model.rotations import levers, turned
 
 _CORRECTIONS = 2
 """Newton iterations: a gap of 1 cm between links of 20 cm is below 1 um after them."""
@@ -44,45 +49,25 @@ class PinJoints(eqx.Module):
         """False for padding."""
         return self.nodes[:, 0] != self.nodes[:, 1]
 
-    def contacts(
+    def geometry(
         self,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         motion: Float[Array, "N G"],
-    ) -> Contacts:
-        """A row each: a contact that always acts, in all directions; ``motion`` [m] is what the
-        bodies do in the step as far as it is known."""
+    ) -> Geometry:
+        """A row each, of points that are together; ``motion`` [m] is what the bodies do in the step
+        as far as it is known, in whose middle they meet. Their normals are any: pins act along all
+        axes."""
         gap, jacobian = self._relative(position + 0.5 * motion)
-        relative = self._differences(jacobian, velocity)
         nothing = jnp.zeros_like(gap[:, 0])
-        exists = self.exists.astype(gap.dtype)
-        normal = jnp.zeros_like(gap).at[:, 0].set(1.0)  # any: they act along all axes
-        return Contacts(
-            geometry=Geometry(
-                edge_index=self.nodes.T,
-                displacement=gap,
-                relative_velocity=relative,
-                distance=nothing,
-                closest_approach=nothing,
-                direction=normal,
-                normal=normal,
-                impact_normal=normal,
-                approach=nothing,
-                time_of_impact=nothing,
-                fraction_after_impact=nothing,
-                contact_jacobian=jacobian,
-                contact_distance=nothing,
-            ),
-            damper=damper_of(exists),
-            spring=nothing,
-            rest_length=nothing,
-            touching=nothing,
-            displacing_fraction=nothing,
-            acting=nothing + 1.0,
-            bounce=MAX_COUPLING * exists,
-            friction=nothing,
-            until_impact=nothing,
-            pinned=exists,
+        return along_normals(
+            edge_index=self.nodes.T,
+            jacobian=jacobian,
+            normal=jnp.zeros_like(gap).at[:, 0].set(1.0),
+            distance=nothing,
+            contact_distance=nothing,
+            velocity=velocity,
+            motion=jnp.zeros_like(velocity),
         )
 
     def closed(
@@ -98,7 +83,7 @@ class PinJoints(eqx.Module):
             gap, jacobian = pins._relative(place)
             place = place - pins._least_change(jacobian, gap)
         jacobian = pins._relative(place)[1]
-        rate = rate - pins._least_change(jacobian, pins._differences(jacobian, rate))
+        rate = rate - pins._least_change(jacobian, relative_motion(rate, jacobian, pins.nodes.T))
         return position + (place - before[0]), velocity + (rate - before[1])
 
     def _relative(
@@ -113,27 +98,17 @@ class PinJoints(eqx.Module):
         gap = jnp.where(self.exists[:, None], places[1] - places[0], 0.0)
         return gap, jnp.where(moves[..., None, None], jacobian, 0.0)
 
-    def _differences(
-        self, jacobian: Float[Array, "2 P D G"], velocity: Float[Array, "N G"]
-    ) -> Float[Array, "P D"]:
-        each = jnp.einsum("spdg,spg->spd", jacobian, velocity[self.nodes.T])
-        return each[1] - each[0]
-
     def _least_change(
         self, jacobian: Float[Array, "2 P D G"], difference: Float[Array, "P D"]
     ) -> Float[Array, "N G"]:
         """The least change, by mass, of all coordinates that makes up for the differences."""
-        count, size = self.inverse_mass.shape
-        first, second = (self.nodes.T[..., None] == jnp.arange(count)).astype(jacobian.dtype)
-        rows = second[:, None, :, None] * jacobian[1][:, :, None, :]
-        rows = rows - first[:, None, :, None] * jacobian[0][:, :, None, :]
-        rows = rows.reshape(-1, count * size)
+        rows = dense_jacobian(jacobian, self.nodes.T, len(self.inverse_mass))
         by_mass = rows * self.inverse_mass.ravel()
         matrix = product(by_mass, rows.T)
         ridge = _RIDGE * jnp.max(matrix) + _LEAST
         inverse = dense_inverse(matrix + ridge * jnp.eye(len(matrix), dtype=matrix.dtype))
         change = product(by_mass.T, product(inverse, difference.reshape(-1, 1)))
-        return change.reshape(count, size)
+        return change.reshape(self.inverse_mass.shape)
 
 
 def pin_joints(

@@ -1,18 +1,23 @@
-"""Geometry of the two nodes of every edge, and what it tells of contact: a prior, and a cutoff."""
+"""Geometry of the two nodes of every edge in one step: where, when and how they meet."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.shapes import Meeting
+from contactgraph.bodies.shapes import Meeting
 
 _MIN_SQUARE = 1e-12
+_PRODUCT_NODES = 32
+"""Up to this number of nodes a one-hot product is faster on CPU than a scatter."""
 _RESTING_SPEED = 0.01
 """Relative speed, in units of speed, well below which nothing counts as an approach."""
 
+_LEAST_APPROACH = 1e-9
+"""m; by which is divided."""
 _REFINEMENTS = 3
 """Iterations for the time of impact under a force."""
 _CHORDS = 8
@@ -28,11 +33,6 @@ class Joined(eqx.Module):
     contact_jacobian: Float[Array, "2 E d c"]
     """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
     there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
-
-    def incidence(self, count: int) -> Float[Array, "2 E N"]:
-        """1 where an edge has one of `count` nodes as its first or second node, else 0."""
-        node = jnp.arange(count)
-        return (self.edge_index[..., None] == node).astype(self.contact_jacobian.dtype)
 
 
 class Geometry(Joined):
@@ -92,36 +92,30 @@ class Geometry(Joined):
 
 
 def geometry(
-    position: Float[Array, "N G"],
-    velocity: Float[Array, "N G"],
     meeting: Meeting,
     *,
+    velocity: Float[Array, "N G"],
     dt: float,
     contact_distance: Float[Array, "*C"] | float,
     control_displacement: Float[Array, "N G"] | None = None,
-    static: Bool[Array, " N"] | None = None,
-    speed: float = 1.0,
     coasting: Float[Array, "N G"] | None = None,
+    speed: float = 1.0,
 ) -> Geometry:
-    """The geometry of the edges at one step of `dt` [s]; finite where nodes coincide.
+    """The geometry of rows at one step of ``dt`` [s]; finite where nodes coincide.
 
-    Bodies touch `contact_distance` [m] apart, centre to centre: all of them, or each edge's.
-    `control_displacement` [m] is how far the step's control alone moves the nodes, where known.
-    `meeting` tells where they meet; `static` nodes never move. `speed` [m/s] is the unit of
-    speeds; `coasting` [m/s] is the velocity after a step in which nothing acts, None: as before it.
+    Bodies touch ``contact_distance`` [m] apart, centre to centre: all of them, or each row's. Nodes
+    move at ``velocity`` [m/s], and without contacts at ``coasting`` [m/s] if it is given.
+    ``control_displacement`` [m] is how far the step's control alone moves them, where known.
+    ``speed`` [m/s] is the unit of speeds.
     """
-    displacement, jacobian, sliding, edge_index = meeting
-    jacobian = without_static(jacobian, edge_index, static)
+    displacement = meeting.displacement
 
-    def relative(motion: Float[Array, "N G"]) -> Float[Array, "E D"]:
-        at_ends = motion[edge_index]
-        if jacobian.shape[-1] > 1:
-            at_ends = jnp.einsum("eijk,eik->eij", jacobian, at_ends)
-        return at_ends[1] - at_ends[0]
+    def relative(motion: Float[Array, "N G"]) -> Float[Array, "C D"]:
+        return relative_motion(motion, meeting.jacobian, meeting.edge_index)
 
-    def approach(motion: Float[Array, "E D"]) -> Float[Array, "E D"]:
+    def approach(motion: Float[Array, "C D"]) -> Float[Array, "C D"]:
         # A point that slides along a bar does not come nearer.
-        for along in sliding:
+        for along in meeting.sliding:
             motion = motion - along * jnp.sum(along * motion, axis=-1, keepdims=True)
         return motion
 
@@ -154,7 +148,7 @@ def geometry(
     touching = touching + 0.5 * (1.0 - time_of_contact) * across
     normal = touching / _norm(touching)[:, None]
     return Geometry(
-        edge_index=edge_index,
+        edge_index=meeting.edge_index,
         displacement=displacement,
         relative_velocity=relative_velocity,
         distance=distance,
@@ -165,20 +159,81 @@ def geometry(
         approach=-jnp.sum(normal * (drifted + driven), axis=-1),
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * impact,
-        contact_jacobian=jacobian,
+        contact_jacobian=meeting.jacobian,
         contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
     )
 
 
-def without_static(
-    jacobian: Float[Array, "2 C d c"],
+def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Array, " C"]:
+    """1 for points of contact that come as near as the nearest of their edge, or touch, else down
+    to 0 within about a ``tolerance`` [m]; rows as of `EncodedGraph.contact_points`."""
+    touch = jnp.maximum(nearest.closest_approach, nearest.contact_distance)
+    count = len(points.distance) // max(1, len(touch))
+    excess = jax.nn.relu(points.closest_approach - jnp.tile(touch, count))
+    return jnp.exp(-((excess / tolerance) ** 2))
+
+
+def along_normals(
+    *,
     edge_index: Int[Array, "2 C"],
-    static: Bool[Array, " N"] | None,
-) -> Float[Array, "2 C d c"]:
-    """`Joined.contact_jacobian`, 0 at the ends of ``static`` nodes. None: there are none."""
-    if static is None:
-        return jacobian
-    return jnp.where(static[edge_index][..., None, None], 0.0, jacobian)
+    jacobian: Float[Array, "2 C D G"],
+    normal: Float[Array, "C D"],
+    distance: Float[Array, " C"],
+    contact_distance: Float[Array, " C"],
+    velocity: Float[Array, "N G"],
+    motion: Float[Array, "N G"],
+) -> Geometry:
+    """The geometry of rows whose normals do not turn in a step, such as those of planes.
+
+    Two bodies are ``distance`` [m] apart along the ``normal``, touch at the ``contact_distance``
+    [m], and would move by ``motion`` [m] in the step without contacts.
+    """
+    approach = -jnp.sum(normal * relative_motion(motion, jacobian, edge_index), axis=-1)
+    time = (distance - contact_distance) / jnp.maximum(approach, _LEAST_APPROACH)
+    time = jnp.clip(time, 0.0, 1.0)
+    meets = (approach > 0.0) & (time < 1.0)
+    return Geometry(
+        edge_index=edge_index,
+        displacement=distance[:, None] * normal,
+        relative_velocity=relative_motion(velocity, jacobian, edge_index),
+        distance=distance,
+        closest_approach=distance - jnp.maximum(approach, 0.0),
+        direction=normal,
+        normal=normal,
+        impact_normal=normal,
+        approach=approach,
+        time_of_impact=jnp.where(meets, time, 0.0),
+        fraction_after_impact=(1.0 - time) * meets,
+        contact_jacobian=jacobian,
+        contact_distance=contact_distance,
+    )
+
+
+def relative_motion(
+    motion: Float[Array, "N G ..."],
+    jacobian: Float[Array, "2 C D G"],
+    edge_index: Int[Array, "2 C"],
+) -> Float[Array, "C D ..."]:
+    """J x: the motion of the second nodes of rows against the first, at the points of contact."""
+    at_ends = motion[edge_index]
+    if jacobian.shape[-1] > 1:
+        at_ends = jnp.einsum("sedg,seg...->sed...", jacobian, at_ends)
+    return at_ends[1] - at_ends[0]
+
+
+def incidence(edge_index: Int[Array, "2 E"], count: int) -> Bool[Array, "2 E N"]:
+    """Whether an edge has one of ``count`` nodes as its first or second node."""
+    return edge_index[..., None] == jnp.arange(count)
+
+
+def dense_jacobian(
+    jacobian: Float[Array, "2 C D G"], edge_index: Int[Array, "2 C"], count: int
+) -> Float[Array, "CD NG"]:
+    """J as one matrix, from the velocities of ``count`` nodes to those of `relative_motion`."""
+    first, second = incidence(edge_index, count).astype(jacobian.dtype)
+    blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
+    blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
+    return blocks.reshape(jacobian.shape[1] * jacobian.shape[2], count * jacobian.shape[3])
 
 
 def _closest_approach(
@@ -226,74 +281,57 @@ def _norm(vector: Float[Array, "*C E D"]) -> Float[Array, "*C E"]:
     return jnp.sqrt(jnp.sum(vector**2, axis=-1) + _MIN_SQUARE)
 
 
-class DistancePrior(eqx.Module):
-    r"""The paper's prior: probability of contact from the present distance $d$ of two nodes.
-
-    $$ q = \sigma\big( 2 (d_{th} - d) / s \big), \qquad
-       s = s_\text{inside}\ (d < d_{th}),\ s_\text{outside}\ (d \ge d_{th}) $$
-
-    With both scales 1 m it is the paper's text; its authors' prior is ten times as sharp inside.
-    """
-
-    threshold: float = eqx.field(static=True, default=0.1)
-    """$d_{th}$, m."""
-    inside: float = eqx.field(static=True, default=0.1)
-    """Scale below the threshold, m."""
-    outside: float = eqx.field(static=True, default=1.0)
-    """Scale above the threshold, m."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        margin = self.threshold - geometry.distance
-        scale = jnp.where(margin > 0, self.inside, self.outside)
-        return jax.nn.sigmoid(2.0 * margin / scale)
-
-
-class ClosestApproachPrior(eqx.Module):
-    r"""Probability of contact from the closest approach of two nodes within the step.
-
-    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
-
-    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
-    closest approach in the next step: the edge of a step must already be active when bodies touch
-    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
-    because an unknown force may bring bodies together or keep them apart.
-    """
-
-    margin: float = eqx.field(static=True, default=1.03)
-    """$m$; factor on the contact distance below which nodes count as touching."""
-    sharpness: float = eqx.field(static=True, default=0.02)
-    """$s$."""
-    min_probability: float = eqx.field(static=True, default=0.01)
-    r"""$\epsilon$."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        touch = jax.lax.stop_gradient(geometry.contact_distance)
-        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
-        spread = 1.0 - 2.0 * self.min_probability
-        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
+def travel_bound(
+    position: Float[Array, "N D"],
+    velocity: Float[Array, "N D"],
+    control_displacement: Float[Array, "N D"] | None,
+    anchor: Float[Array, "N D"] | None,
+    dt: float,
+    half_size: Float[Array, "N D"] | None = None,
+    outlines: Float[Array, "N P V ..."] | None = None,
+) -> Float[Array, " N"]:
+    """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
+    [s]; arguments as of `geometry`."""
+    bound = dt * jnp.linalg.norm(velocity, axis=-1)
+    if control_displacement is not None:
+        bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
+    if half_size is not None:  # a corner is farther from the centre than the nearest side
+        bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
+    if outlines is not None:
+        bound = bound + extent(outlines)
+    if anchor is None:
+        return bound
+    # A bar's far end is a radius from its middle, and twice as fast.
+    radius = jnp.linalg.norm(position - anchor, axis=-1)
+    return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
 
 
-class SmoothCutoff(eqx.Module):
-    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
-
-    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
-    """
-
-    inner: float = eqx.field(static=True, default=0.15)
-    outer: float = eqx.field(static=True, default=0.25)
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight of each edge in [0, 1], by its closest approach in the step."""
-        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(fraction, 0.0, 1.0)
-        return fraction**2 * (3.0 - 2.0 * fraction)
+def extent(outlines: Float[Array, "N P V ..."]) -> Float[Array, " N"]:
+    """m; from a body's position to the farthest point of its outlines: see `Nodes.outlines`."""
+    lengths = jnp.linalg.norm(outlines, axis=-1)
+    return jnp.max(lengths.reshape(len(lengths), -1), axis=1)
 
 
-class NoCutoff(eqx.Module):
-    """Weight 1 at every distance: the paper's all-pairs inference."""
+def relative_at_edges(x: Float[Array, "N d c"], geometry: Joined) -> Float[Array, "E d c"]:
+    """J x: the difference of the edges' second and first nodes, at the points of contact."""
+    return relative_motion(x, geometry.contact_jacobian, geometry.edge_index)
 
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight 1 for every edge."""
-        return jnp.ones_like(geometry.distance)
+
+def to_nodes(on_edges: Float[Array, "E d c"], geometry: Joined, count: int) -> Array:
+    """J^T of values on the edges, [N, d, c]."""
+    arriving = jnp.stack([-on_edges, on_edges])
+    if geometry.contact_jacobian.shape[-1] > 1:
+        arriving = jnp.einsum("seji,sejc->seic", geometry.contact_jacobian, arriving)
+    return sum_at_nodes(arriving, geometry.edge_index, count)
+
+
+def sum_at_nodes(
+    arriving: Float[Array, "2 E ..."], edge_index: Int[Array, "2 E"], count: int
+) -> Float[Array, "N ..."]:
+    """Sum, at each of `count` nodes, over the edges that have it as first or second node."""
+    flat = arriving.reshape(-1, *arriving.shape[2:])
+    if count > _PRODUCT_NODES:
+        return jax.ops.segment_sum(flat, edge_index.reshape(-1), count)
+    arrives = (jnp.arange(count)[:, None] == edge_index.reshape(-1)).astype(arriving.dtype)
+    columns = flat.reshape(flat.shape[0], math.prod(flat.shape[1:]))
+    return (arrives @ columns).reshape(count, *flat.shape[1:])

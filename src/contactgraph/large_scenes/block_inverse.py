@@ -6,20 +6,15 @@ Its derivatives are still those of the whole matrix, including edges without sti
 groups, because a model learns contact from the effect that such edges would have.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.model.collision import Joined
-from contactgraph.model.neighbor_list import sum_at_nodes
-
-_UNROLLED_SIZE = 6
-"""Rows up to which matrices are inverted in unrolled operations that fuse."""
-_SUMMED_SIZE = 20
-"""Rows up to which matrices are multiplied as sums: in a batch a product is a call for each."""
-_ELIMINATED_SIZE = 32
-"""Rows up to which a batch of matrices is inverted faster here than by LAPACK."""
+from contactgraph.bodies.geometry import sum_at_nodes
+from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution, spd_inverse
 
 
 class Groups(eqx.Module):
@@ -58,88 +53,15 @@ def find_groups(joins: Bool[Array, " E"], edge_index: Int[Array, "2 E"], count: 
     return Groups(root, jnp.zeros_like(node).at[order].set(node - begin))
 
 
-class MassMatrix(eqx.Module):
-    """H as a linear operator, with `d` rows for each node: 1 where no hinge turns velocities."""
+@dataclasses.dataclass(frozen=True)
+class GroupsOf:
+    """The `GroupCapacity` of this number of ``nodes``."""
 
-    node: Float[Array, "N d"] | Float[Array, "N 1"]
-    """Diagonal part, kg."""
-    edge: Float[Array, " E"]
-    """Stiffness of each edge, kg."""
-    geometry: Joined
+    nodes: int
 
-    @property
-    def size(self) -> int:
-        """d, rows per node."""
-        return self.geometry.contact_jacobian.shape[-1]
-
-    @property
-    def rows(self) -> Float[Array, "N d"]:
-        """The diagonal part of every row."""
-        return jnp.broadcast_to(self.node, (len(self.node), self.size))
-
-    def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
-        """The product with c vectors."""
-        on_edges = self.edge[:, None, None] * relative_at_edges(x, self.geometry)
-        return self.node[:, :, None] * x + to_nodes(on_edges, self.geometry, x.shape[0])
-
-
-class MassMatrixSolution(eqx.Module):
-    """The parts of the inverse that a step needs."""
-
-    solution: Float[Array, "N d c"]
-    """Its products with c vectors."""
-    diagonal: Float[Array, "N d"]
-    """Its diagonal; 1/kg."""
-
-
-def relative_at_edges(x: Float[Array, "N d c"], geometry: Joined) -> Float[Array, "E d c"]:
-    """J x: the difference of the edges' second and first nodes, at the points of contact."""
-    jacobian = geometry.contact_jacobian
-    first, second = x[geometry.edge_index[0]], x[geometry.edge_index[1]]
-    if jacobian.shape[-1] == 1:
-        return second - first
-    return jnp.einsum("eij,ejc->eic", jacobian[1], second) - jnp.einsum(
-        "eij,ejc->eic", jacobian[0], first
-    )
-
-
-def to_nodes(on_edges: Float[Array, "E d c"], geometry: Joined, count: int) -> Array:
-    """J^T of values on the edges, [N, d, c]."""
-    arriving = jnp.stack([-on_edges, on_edges])
-    if geometry.contact_jacobian.shape[-1] > 1:
-        arriving = jnp.einsum("seji,sejc->seic", geometry.contact_jacobian, arriving)
-    return sum_at_nodes(arriving, geometry.edge_index, count)
-
-
-def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
-    """Solve by the inverse of the whole matrix."""
-    count, size = matrix.node.shape[0], matrix.size
-    jacobian = _dense_jacobian(matrix.geometry, count)
-    edge, node = (
-        jnp.repeat(matrix.edge, matrix.geometry.contact_jacobian.shape[2]),
-        matrix.rows.ravel(),
-    )
-    inverse = dense_inverse(product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(node))
-    solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
-    diagonal = jnp.sum(inverse * jnp.eye(count * size, dtype=inverse.dtype), axis=1)
-    return MassMatrixSolution(solution, diagonal.reshape(count, size))
-
-
-def product(one: Float[Array, "n m"], other: Float[Array, "m c"]) -> Float[Array, "n c"]:
-    """The matrix product; of small matrices as a sum, which fuses with neighbouring operations."""
-    if max(one.shape) > _SUMMED_SIZE:
-        return one @ other
-    return jnp.sum(one[:, :, None] * other[None], axis=1)
-
-
-def _dense_jacobian(geometry: Joined, count: int) -> Float[Array, "Ed Nd"]:
-    """J, from all velocities to the relative velocities along all edges."""
-    jacobian = geometry.contact_jacobian
-    size = jacobian.shape[-1]
-    first, second = geometry.incidence(count)
-    blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
-    blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
-    return blocks.reshape(blocks.shape[0] * blocks.shape[1], count * size)
+    def solve(self, matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
+        """See `solve_block_diagonal`."""
+        return solve_block_diagonal(matrix, vectors, self.nodes)
 
 
 def solve_block_diagonal(
@@ -193,48 +115,6 @@ def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "
     flat = flat.at[jnp.where(joins, entry(second, first), outside)].add(back, mode="drop")
     blocks = jnp.swapaxes(flat.reshape(count, capacity, capacity, size, size), 2, 3)
     return blocks.reshape(count, capacity * size, capacity * size)
-
-
-def spd_inverse(
-    matrix: Float[Array, "*B n n"], rows: Int[Array, ""] | int
-) -> Float[Array, "*B n n"]:
-    """Inverses of a batch of small, symmetric positive definite matrices.
-
-    Rows and columns from index `rows` on must be those of the identity.
-    """
-    return jax.lax.fori_loop(0, rows, _eliminate, matrix)
-
-
-def _eliminate(pivot: Int[Array, ""] | int, matrix: Float[Array, "*B n n"]) -> Array:
-    """One round of Gauss-Jordan; positive definite matrices need no pivoting."""
-    index = jnp.arange(matrix.shape[-1])
-    row = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -2)
-    column = jax.lax.dynamic_slice_in_dim(matrix, pivot, 1, -1)
-    scale = 1.0 / jax.lax.dynamic_slice_in_dim(row, pivot, 1, -1)
-    in_row, in_column = index[:, None] == pivot, index[None, :] == pivot
-    rest = matrix - column * (row * scale)
-    rest = jnp.where(in_row, row * scale, jnp.where(in_column, -column * scale, rest))
-    return jnp.where(in_row & in_column, scale, rest)
-
-
-@jax.custom_jvp
-def dense_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of one symmetric positive definite matrix."""
-    size = matrix.shape[0]
-    # LAPACK inverts the matrices of a batch one after the other.
-    if size > _ELIMINATED_SIZE:
-        return jnp.linalg.inv(matrix)
-    if size > _UNROLLED_SIZE:
-        return spd_inverse(matrix, size)
-    for pivot in range(size):
-        matrix = _eliminate(pivot, matrix)
-    return matrix
-
-
-@dense_inverse.defjvp
-def _dense_inverse_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    inverse = dense_inverse(*primals)
-    return inverse, -inverse @ tangents[0] @ inverse
 
 
 @jax.custom_jvp
