@@ -20,6 +20,7 @@ LIBRARY = (
     *(
         "data",
         "model",
+        "large_scenes",
         "train",
         "control",
         "envs",

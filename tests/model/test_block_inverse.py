@@ -32,9 +32,10 @@ def scene(hinges: bool) -> tuple[MassMatrix, jnp.ndarray]:
     holding = {(0, 4), (2, 4), (1, 6)}
     holds = np.array([tuple(pair) in holding for pair in pairs.tolist()])
     stiff = jnp.asarray(np.where(holds, rng.uniform(1, 9, len(pairs)), 0.0))
-    matrix = MassMatrix(jnp.asarray(rng.uniform(0.5, 2.0, (COUNT, 1))), stiff, edge_geometry)
-    columns = 3 if hinges else 4
-    return matrix, jnp.asarray(rng.normal(size=(COUNT, matrix.size, columns)))
+    size, columns = (2, 3) if hinges else (1, 4)
+    node = np.tile(rng.uniform(0.5, 2.0, (COUNT, 1)), size)
+    matrix = MassMatrix(jnp.asarray(node), stiff, edge_geometry)
+    return matrix, jnp.asarray(rng.normal(size=(COUNT, size, columns)))
 
 
 @pytest.mark.usefixtures("double_precision")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -25,19 +26,32 @@ _CHORDS = 8
 0.1 mm away from them."""
 
 
-class Joined(eqx.Module):
-    """Places at which two nodes each act on each other."""
+class Rows(Protocol):
+    """Pairs of bodies, and what moves where they meet: a `Meeting`, or its `Geometry`."""
+
+    @property
+    def edge_index(self) -> Int[Array, "2 C"]:
+        """Both bodies."""
+
+    @property
+    def contact_jacobian(self) -> Float[Array, "2 C d c"]:
+        """See `Geometry`."""
+
+
+class Joined(NamedTuple):
+    """Rows by themselves."""
+
+    edge_index: Int[Array, "2 C"]
+    """Both bodies."""
+    contact_jacobian: Float[Array, "2 C d c"]
+    """See `Geometry`."""
+
+
+class Geometry(eqx.Module):
+    """Relative position and motion of the two nodes of every edge, relative to the first."""
 
     edge_index: Int[Array, "2 E"]
     """First and second node of each edge."""
-    contact_jacobian: Float[Array, "2 E d c"]
-    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
-    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
-
-
-class Geometry(Joined):
-    """Relative position and motion of the two nodes of every edge, relative to the first."""
-
     displacement: Float[Array, "E D"]
     """From the first to the second node, m; between the closest points where one is hinged, and
     see `box_displacement` where one is a box."""
@@ -61,6 +75,9 @@ class Geometry(Joined):
     fraction_after_impact: Float[Array, " E"]
     """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
     nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
+    contact_jacobian: Float[Array, "2 E d c"]
+    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
+    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
     contact_distance: Float[Array, " E"]
     """m, of the two nodes when they touch, centre to centre or to a bar's middle line."""
 
@@ -111,7 +128,7 @@ def geometry(
     displacement = meeting.displacement
 
     def relative(motion: Float[Array, "N G"]) -> Float[Array, "C D"]:
-        return relative_motion(motion, meeting.jacobian, meeting.edge_index)
+        return relative_at_edges(motion, meeting)
 
     def approach(motion: Float[Array, "C D"]) -> Float[Array, "C D"]:
         # A point that slides along a bar does not come nearer.
@@ -159,7 +176,7 @@ def geometry(
         approach=-jnp.sum(normal * (drifted + driven), axis=-1),
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * impact,
-        contact_jacobian=meeting.jacobian,
+        contact_jacobian=meeting.contact_jacobian,
         contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
     )
 
@@ -174,28 +191,27 @@ def as_near(points: Geometry, nearest: Geometry, tolerance: float) -> Float[Arra
 
 
 def along_normals(
+    rows: Rows,
     *,
-    edge_index: Int[Array, "2 C"],
-    jacobian: Float[Array, "2 C D G"],
     normal: Float[Array, "C D"],
     distance: Float[Array, " C"],
     contact_distance: Float[Array, " C"],
     velocity: Float[Array, "N G"],
     motion: Float[Array, "N G"],
 ) -> Geometry:
-    """The geometry of rows whose normals do not turn in a step, such as those of planes.
+    """The geometry of ``rows`` whose normals do not turn in a step, such as those of planes.
 
     Two bodies are ``distance`` [m] apart along the ``normal``, touch at the ``contact_distance``
     [m], and would move by ``motion`` [m] in the step without contacts.
     """
-    approach = -jnp.sum(normal * relative_motion(motion, jacobian, edge_index), axis=-1)
+    approach = -jnp.sum(normal * relative_at_edges(motion, rows), axis=-1)
     time = (distance - contact_distance) / jnp.maximum(approach, _LEAST_APPROACH)
     time = jnp.clip(time, 0.0, 1.0)
     meets = (approach > 0.0) & (time < 1.0)
     return Geometry(
-        edge_index=edge_index,
+        edge_index=rows.edge_index,
         displacement=distance[:, None] * normal,
-        relative_velocity=relative_motion(velocity, jacobian, edge_index),
+        relative_velocity=relative_at_edges(velocity, rows),
         distance=distance,
         closest_approach=distance - jnp.maximum(approach, 0.0),
         direction=normal,
@@ -204,21 +220,9 @@ def along_normals(
         approach=approach,
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * meets,
-        contact_jacobian=jacobian,
+        contact_jacobian=rows.contact_jacobian,
         contact_distance=contact_distance,
     )
-
-
-def relative_motion(
-    motion: Float[Array, "N G ..."],
-    jacobian: Float[Array, "2 C D G"],
-    edge_index: Int[Array, "2 C"],
-) -> Float[Array, "C D ..."]:
-    """J x: the motion of the second nodes of rows against the first, at the points of contact."""
-    at_ends = motion[edge_index]
-    if jacobian.shape[-1] > 1:
-        at_ends = jnp.einsum("sedg,seg...->sed...", jacobian, at_ends)
-    return at_ends[1] - at_ends[0]
 
 
 def incidence(edge_index: Int[Array, "2 E"], count: int) -> Bool[Array, "2 E N"]:
@@ -226,11 +230,10 @@ def incidence(edge_index: Int[Array, "2 E"], count: int) -> Bool[Array, "2 E N"]
     return edge_index[..., None] == jnp.arange(count)
 
 
-def dense_jacobian(
-    jacobian: Float[Array, "2 C D G"], edge_index: Int[Array, "2 C"], count: int
-) -> Float[Array, "CD NG"]:
-    """J as one matrix, from the velocities of ``count`` nodes to those of `relative_motion`."""
-    first, second = incidence(edge_index, count).astype(jacobian.dtype)
+def dense_jacobian(rows: Rows, count: int) -> Float[Array, "CD NG"]:
+    """J as one matrix, from the velocities of ``count`` nodes to those of `relative_at_edges`."""
+    jacobian = rows.contact_jacobian
+    first, second = incidence(rows.edge_index, count).astype(jacobian.dtype)
     blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
     blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
     return blocks.reshape(jacobian.shape[1] * jacobian.shape[2], count * jacobian.shape[3])
@@ -290,15 +293,16 @@ def travel_bound(
     half_size: Float[Array, "N D"] | None = None,
     outlines: Float[Array, "N P V ..."] | None = None,
 ) -> Float[Array, " N"]:
-    """Largest distance [m] from a node's position at which its body may be met in a step of `dt`
-    [s]; arguments as of `geometry`."""
+    """Largest distance [m] from a node's position at which its body may be met in a step of ``dt``
+    [s]; arguments as of `geometry` and `meeting`, ``outlines`` see `Nodes`."""
     bound = dt * jnp.linalg.norm(velocity, axis=-1)
     if control_displacement is not None:
         bound = bound + jnp.linalg.norm(control_displacement, axis=-1)
     if half_size is not None:  # a corner is farther from the centre than the nearest side
         bound = bound + jnp.linalg.norm(half_size, axis=-1) - jnp.min(half_size, axis=-1)
     if outlines is not None:
-        bound = bound + extent(outlines)
+        lengths = jnp.linalg.norm(outlines, axis=-1).reshape(len(outlines), -1)
+        bound = bound + jnp.max(lengths, axis=1)
     if anchor is None:
         return bound
     # A bar's far end is a radius from its middle, and twice as fast.
@@ -306,23 +310,20 @@ def travel_bound(
     return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
 
 
-def extent(outlines: Float[Array, "N P V ..."]) -> Float[Array, " N"]:
-    """m; from a body's position to the farthest point of its outlines: see `Nodes.outlines`."""
-    lengths = jnp.linalg.norm(outlines, axis=-1)
-    return jnp.max(lengths.reshape(len(lengths), -1), axis=1)
+def relative_at_edges(x: Float[Array, "N d ..."], rows: Rows) -> Float[Array, "E d ..."]:
+    """J x: the difference of the second and first nodes of rows, at the points of contact."""
+    at_ends = x[rows.edge_index]
+    if rows.contact_jacobian.shape[-1] > 1:
+        at_ends = jnp.einsum("sedg,seg...->sed...", rows.contact_jacobian, at_ends)
+    return at_ends[1] - at_ends[0]
 
 
-def relative_at_edges(x: Float[Array, "N d c"], geometry: Joined) -> Float[Array, "E d c"]:
-    """J x: the difference of the edges' second and first nodes, at the points of contact."""
-    return relative_motion(x, geometry.contact_jacobian, geometry.edge_index)
-
-
-def to_nodes(on_edges: Float[Array, "E d c"], geometry: Joined, count: int) -> Array:
-    """J^T of values on the edges, [N, d, c]."""
+def to_nodes(on_edges: Float[Array, "E d c"], rows: Rows, count: int) -> Float[Array, "N d c"]:
+    """J^T of values on the rows, for ``count`` nodes."""
     arriving = jnp.stack([-on_edges, on_edges])
-    if geometry.contact_jacobian.shape[-1] > 1:
-        arriving = jnp.einsum("seji,sejc->seic", geometry.contact_jacobian, arriving)
-    return sum_at_nodes(arriving, geometry.edge_index, count)
+    if rows.contact_jacobian.shape[-1] > 1:
+        arriving = jnp.einsum("seji,sejc->seic", rows.contact_jacobian, arriving)
+    return sum_at_nodes(arriving, rows.edge_index, count)
 
 
 def sum_at_nodes(

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.bodies.geometry import Joined, dense_jacobian, relative_at_edges, to_nodes
+from contactgraph.bodies.geometry import Rows, dense_jacobian, relative_at_edges, to_nodes
 
 _UNROLLED_SIZE = 6
 """Rows up to which matrices are inverted in unrolled operations that fuse."""
@@ -18,21 +18,11 @@ _ELIMINATED_SIZE = 32
 class MassMatrix(eqx.Module):
     """H as a linear operator, with `d` rows for each node: 1 where no hinge turns velocities."""
 
-    node: Float[Array, "N d"] | Float[Array, "N 1"]
+    node: Float[Array, "N d"]
     """Diagonal part, kg."""
     edge: Float[Array, " E"]
     """Stiffness of each edge, kg."""
-    geometry: Joined
-
-    @property
-    def size(self) -> int:
-        """d, rows per node."""
-        return self.geometry.contact_jacobian.shape[-1]
-
-    @property
-    def rows(self) -> Float[Array, "N d"]:
-        """The diagonal part of every row."""
-        return jnp.broadcast_to(self.node, (len(self.node), self.size))
+    geometry: Rows
 
     def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
         """The product with c vectors."""
@@ -51,10 +41,10 @@ class MassMatrixSolution(eqx.Module):
 
 def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
     """Solve by the inverse of the whole matrix."""
-    count, size, geometry = matrix.node.shape[0], matrix.size, matrix.geometry
-    jacobian = dense_jacobian(geometry.contact_jacobian, geometry.edge_index, count)
+    (count, size), geometry = matrix.node.shape, matrix.geometry
+    jacobian = dense_jacobian(geometry, count)
     edge = jnp.repeat(matrix.edge, geometry.contact_jacobian.shape[2])
-    whole = product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(matrix.rows.ravel())
+    whole = product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(matrix.node.ravel())
     inverse = dense_inverse(whole)
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)
     diagonal = jnp.sum(inverse * jnp.eye(count * size, dtype=inverse.dtype), axis=1)

@@ -10,10 +10,11 @@ from contactgraph.bodies.geometry import (
     Joined,
     along_normals,
     dense_jacobian,
-    relative_motion,
+    relative_at_edges,
 )
 from contactgraph.bodies.mass_matrix import dense_inverse, product
 from contactgraph.bodies.rotations import levers, turned
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.graph import edge_id
 from contactgraph.data.trajectory_batch import Nodes
 
@@ -58,12 +59,11 @@ class PinJoints(eqx.Module):
         """A row each, of points that are together; ``motion`` [m] is what the bodies do in the step
         as far as it is known, in whose middle they meet. Their normals are any: pins act along all
         axes."""
-        gap, jacobian = self._relative(position + 0.5 * motion)
-        nothing = jnp.zeros_like(gap[:, 0])
+        meeting = self._meeting(position + 0.5 * motion)
+        nothing = jnp.zeros_like(meeting.displacement[:, 0])
         return along_normals(
-            edge_index=self.nodes.T,
-            jacobian=jacobian,
-            normal=jnp.zeros_like(gap).at[:, 0].set(1.0),
+            meeting,
+            normal=jnp.zeros_like(meeting.displacement).at[:, 0].set(1.0),
             distance=nothing,
             contact_distance=nothing,
             velocity=velocity,
@@ -80,29 +80,27 @@ class PinJoints(eqx.Module):
         before = jax.lax.stop_gradient((position, velocity))
         pins, (place, rate) = jax.lax.stop_gradient(self), before
         for _ in range(_CORRECTIONS):
-            gap, jacobian = pins._relative(place)
-            place = place - pins._least_change(jacobian, gap)
-        jacobian = pins._relative(place)[1]
-        rate = rate - pins._least_change(jacobian, relative_motion(rate, jacobian, pins.nodes.T))
+            meeting = pins._meeting(place)
+            place = place - pins._least_change(meeting, meeting.displacement)
+        meeting = pins._meeting(place)
+        rate = rate - pins._least_change(meeting, relative_at_edges(rate, meeting))
         return position + (place - before[0]), velocity + (rate - before[1])
 
-    def _relative(
-        self, position: Float[Array, "N G"]
-    ) -> tuple[Float[Array, "P D"], Float[Array, "2 P D G"]]:
-        """From the first to the second point of every pin, m, and the Jacobians of both."""
+    def _meeting(self, position: Float[Array, "N G"]) -> Meeting:
+        """From the first to the second point of every pin."""
         dimension, node = self.points.shape[-1], self.nodes.T
         turn = position[node, dimension] / self.turn_length
         places = position[node, :dimension] + turned(jnp.swapaxes(self.points, 0, 1), turn)
         jacobian = levers(places, position, self.turns, node, self.turn_length)
         moves = self.exists & jnp.any(self.inverse_mass > 0.0, axis=1)[node]
         gap = jnp.where(self.exists[:, None], places[1] - places[0], 0.0)
-        return gap, jnp.where(moves[..., None, None], jacobian, 0.0)
+        return Meeting(gap, jnp.where(moves[..., None, None], jacobian, 0.0), [], node)
 
     def _least_change(
-        self, jacobian: Float[Array, "2 P D G"], difference: Float[Array, "P D"]
+        self, meeting: Meeting, difference: Float[Array, "P D"]
     ) -> Float[Array, "N G"]:
         """The least change, by mass, of all coordinates that makes up for the differences."""
-        rows = dense_jacobian(jacobian, self.nodes.T, len(self.inverse_mass))
+        rows = dense_jacobian(meeting, len(self.inverse_mass))
         by_mass = rows * self.inverse_mass.ravel()
         matrix = product(by_mass, rows.T)
         ridge = _RIDGE * jnp.max(matrix) + _LEAST
@@ -126,7 +124,7 @@ def joined_with_pins(
     held: Joined, holds: Float[Array, " C"], pins: PinJoints, position: Float[Array, "N G"]
 ) -> tuple[Joined, Float[Array, " C+P"]]:
     """What ``holds`` (1, else 0), then the pins."""
-    _, jacobian = pins._relative(position)
+    jacobian = pins._meeting(position).contact_jacobian
     exists = pins.exists.astype(holds.dtype)
     if not len(holds):
         return Joined(pins.nodes.T, jacobian), exists

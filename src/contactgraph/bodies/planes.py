@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from contactgraph.bodies.geometry import Geometry, along_normals
 from contactgraph.bodies.polygons import FAR, most_points, nearest_places, vertices_of
 from contactgraph.bodies.rotations import levers, placed, rotation_matrix
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import Nodes
 
 _BOTH = 0.02
@@ -54,9 +55,14 @@ def plane_geometry(
         )
         jacobian = levers(lowest, position, turns, node, turn_length)
     jacobian = jacobian * nodes.mobile[node][:, None, None]
-    found = along_normals(
+    meeting = Meeting(
+        displacement=-height[:, None] * rows[:, :-1],
+        contact_jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
+        sliding=[],
         edge_index=jnp.stack([node, node]),
-        jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
+    )
+    found = along_normals(
+        meeting,
         normal=-rows[:, :-1],
         distance=height,
         contact_distance=distance[node],

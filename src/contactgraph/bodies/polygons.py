@@ -8,7 +8,6 @@ cross; among them are the nearest points of any two that do not overlap deeply (
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -94,7 +93,7 @@ def polygon_meeting(
     at_ends = jnp.stack([points.on_first, points.on_second])
     return Meeting(
         displacement=(points.gap + radius)[:, None] * points.normal,
-        jacobian=levers(at_ends, position, turns, ends, turn_length),
+        contact_jacobian=levers(at_ends, position, turns, ends, turn_length),
         sliding=[points.on_face[:, None] * each for each in _tangents(points.normal)],
         edge_index=ends,
     )
@@ -144,8 +143,8 @@ def contact_points(
     if dimension == 3:
         first, second = _edges_of(bodies[0])
         one, other = jnp.divmod(jnp.maximum(chosen - count, 0), first.shape[1])
-        crossed = _crossing(first[rows, one], second[rows, other], compared[1][rows, chosen])
-        result = crossed.points.where(chosen >= count, result)
+        crossed, *_ = _crossing(first[rows, one], second[rows, other], compared[1][rows, chosen])
+        result = crossed.where(chosen >= count, result)
     gap = jnp.where(exists, result.gap, FAR * length)
     return dataclasses.replace(result, gap=gap)
 
@@ -204,14 +203,14 @@ def _candidates(
 ) -> _Candidates:
     """Candidates both ways; a vertex of a body with an outline does not count against a point."""
     seen = vertices[:, :, :, None]
-    found = _nearest_of(seen[..., None, :], facets[:, :, None])
-    inside = jnp.all(found.height <= 0.0, axis=-1) & jnp.any(found.height > -jnp.inf, axis=-1)
-    index = jnp.argmin(found.square, axis=-1)
-    index = jnp.where(inside, jnp.argmax(found.height, axis=-1), index)
+    square, height, *_ = _from_facet(seen[..., None, :], facets[:, :, None])
+    inside = jnp.all(height <= 0.0, axis=-1) & jnp.any(height > -jnp.inf, axis=-1)
+    index = jnp.argmin(square, axis=-1)
+    index = jnp.where(inside, jnp.argmax(height, axis=-1), index)
     # Above a face the nearest point is inside of it, and the way there is its normal.
     begin, end = facets[:, :, None, ..., 0, :], facets[:, :, None, ..., 1, :]
-    touches = found.square < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
-    touches |= found.height > (1.0 - _ON_FACE) * jnp.sqrt(found.square)
+    touches = square < _ROUNDING**2 * jnp.sum((end - begin) ** 2, axis=-1)
+    touches |= height > (1.0 - _ON_FACE) * jnp.sqrt(square)
     above = inside[..., None] | touches
     on_face = jnp.take_along_axis(above, index[..., None], axis=-1)[..., 0]
     way, row, _, polygon = jnp.meshgrid(*map(jnp.arange, index.shape), indexing="ij")
@@ -230,25 +229,19 @@ def _candidates(
         on_face=flat(on_face),
         normal=flat(forth * points.normal),
         middle=flat(0.5 * (points.on_first + points.on_second)),
-        overlap=jnp.max(jnp.min(found.height, axis=2), axis=(0, 2, 3)),
+        overlap=jnp.max(jnp.min(height, axis=2), axis=(0, 2, 3)),
     )
 
 
-class _Facet(NamedTuple):
-    """The place of a facet that is nearest to a point."""
+def _from_facet(
+    point: Float[Array, "*C D"], corners: Float[Array, "*C D D"]
+) -> tuple[Float[Array, "*C"], Float[Array, "*C"], "_Vector", "_Vector"]:
+    """The squared distance of a point from a facet, its height above the line or plane of that, m,
+    the way to it from the nearest point, m, and the facet's normal.
 
-    away: "_Vector"
-    """m; from there to the point."""
-    square: Float[Array, "*C"]
-    """Of its length."""
-    outward: "_Vector"
-    """The facet's normal; 0 for one without extent."""
-    height: Float[Array, "*C"]
-    """m; above the facet's line or plane, infinite below one without extent."""
-
-
-def _nearest_of(point: Float[Array, "*C D"], corners: Float[Array, "*C D D"]) -> _Facet:
-    """Of a side of a polygon or a triangle of a hull, counter-clockwise seen from outside."""
+    A facet is a side of a polygon or a triangle of a hull, counter-clockwise seen from outside. One
+    without extent has the normal 0, and all points are infinitely far below it.
+    """
     at, in_space = _Vector.of(point), corners.shape[-1] == 3
     ends = [_Vector.of(corners[..., each, :]) for each in range(corners.shape[-1])]
     sides = [ends[(each + 1) % len(ends)] - end for each, end in enumerate(ends)]
@@ -266,12 +259,8 @@ def _nearest_of(point: Float[Array, "*C D"], corners: Float[Array, "*C D D"]) ->
         way = offset - side.times(part)
         apart = way.dot(way)
         square, away = jnp.minimum(square, apart), way.where(apart < square, away)
-    return _Facet(
-        away=outward.times(height).where(above, away),
-        square=jnp.where(above, height**2, square),
-        outward=outward,
-        height=jnp.where(extent > 0.0, height, -jnp.inf),
-    )
+    square, away = jnp.where(above, height**2, square), outward.times(height).where(above, away)
+    return square, jnp.where(extent > 0.0, height, -jnp.inf), away, outward
 
 
 def _between(
@@ -281,29 +270,22 @@ def _between(
 
     ``on_face``: the gap is the height above the line or plane of the facet, below 0 behind it.
     """
-    facet = _nearest_of(point, corners)
-    apart = jnp.sqrt(facet.away.dot(facet.away) + _SMALL)
-    gap = jnp.where(on_face, facet.height, apart)
-    normal = -facet.outward.where(on_face, facet.away.times(1.0 / apart)).stacked()
+    _, height, away, outward = _from_facet(point, corners)
+    apart = jnp.sqrt(away.dot(away) + _SMALL)
+    gap = jnp.where(on_face, height, apart)
+    normal = -outward.where(on_face, away.times(1.0 / apart)).stacked()
     whole = jnp.broadcast_to(point, normal.shape)
     return ContactPoints(gap, normal, whole, whole + gap[..., None] * normal, on_face)
 
 
-class _Crossing(NamedTuple):
-    """The nearest points of the lines of two edges."""
-
-    points: ContactPoints
-    """Each counts as a face, along which nothing comes nearer."""
-    parts: Float[Array, "2 ..."]
-    """At which part of each edge its point lies, 0 at its begin and 1 at its end."""
-    slant: Float[Array, "*C"]
-    """Squared sine of their angle."""
-
-
 def _crossing(
     first: Float[Array, "*C 2 3"], second: Float[Array, "*C 2 3"], outward: Float[Array, "*C 3"]
-) -> _Crossing:
-    """Of edges with these ends; the normal is that along ``outward``."""
+) -> tuple[ContactPoints, Float[Array, "2 ..."], Float[Array, "*C"]]:
+    """The nearest points of the lines of two edges with these ends, and the normal along
+    ``outward``; at which part of each edge its point lies; and the squared sine of their angle.
+
+    Each point counts as a face, along which nothing comes nearer.
+    """
     begin, start = (_Vector.of(each[..., 0, :]) for each in (first, second))
     one, other = (_Vector.of(each[..., 1, :] - each[..., 0, :]) for each in (first, second))
     area, offset = one.cross(other), start - begin
@@ -319,7 +301,7 @@ def _crossing(
         on_face=jnp.ones(square.shape, bool),
     )
     slant = square * _inverse(one.dot(one) * other.dot(other))
-    return _Crossing(points, jnp.stack([part, share]), slant)
+    return points, jnp.stack([part, share]), slant
 
 
 def _edges_of(hulls: Float[Array, "2 E P V 5 3"]) -> Float[Array, "2 E M 2 3"]:
@@ -340,20 +322,20 @@ def _crossings(
     own = jnp.moveaxis(jnp.repeat(hulls[..., 3, :], hulls.shape[3], axis=2), 3, 1)
     outward = jnp.mean(edges[0], axis=2) - jnp.mean(own[0], axis=0)
     first, second = edges[0][:, :, None], edges[1][:, None]
-    found = _crossing(first, second, outward[:, :, None])
-    gap, normal = found.points.gap, _Vector.of(found.points.normal)
-    meets = found.slant > _PARALLEL
-    meets &= jnp.all((found.parts > 0.0) & (found.parts < 1.0), axis=0)
+    points, parts, slant = _crossing(first, second, outward[:, :, None])
+    gap, normal = points.gap, _Vector.of(points.normal)
+    meets = slant > _PARALLEL
+    meets &= jnp.all((parts > 0.0) & (parts < 1.0), axis=0)
     meets &= gap > overlap[:, None, None] - tolerance
     for end, sign, at in ((0, 1.0, first), (1, -1.0, second)):
         corners = _Vector.of(jnp.expand_dims(own[end], 3 - end))
         behind = jnp.max(sign * corners.dot(normal), axis=0)
         behind -= sign * normal.dot(_Vector.of(at[..., 0, :]))
         meets &= behind < tolerance
-    middle = 0.5 * (found.points.on_first + found.points.on_second)
+    middle = 0.5 * (points.on_first + points.on_second)
     flat = len(gap), -1
     gap = jnp.where(meets, gap, jnp.inf).reshape(flat)
-    return gap, found.points.normal.reshape(*flat, 3), middle.reshape(*flat, 3)
+    return gap, points.normal.reshape(*flat, 3), middle.reshape(*flat, 3)
 
 
 def _inverse(square: Float[Array, "*C"]) -> Float[Array, "*C"]:

@@ -16,8 +16,8 @@ class Meeting(NamedTuple):
 
     displacement: Float[Array, "C D"]
     """m; from the first body to the second, see `Geometry`."""
-    jacobian: Float[Array, "2 C d c"]
-    """See `Geometry.contact_jacobian`."""
+    contact_jacobian: Float[Array, "2 C d c"]
+    """See `Geometry`."""
     sliding: list[Float[Array, "C D"]]
     """Directions, unit vectors or 0, in which they slide without coming nearer."""
     edge_index: Int[Array, "2 C"]
@@ -28,7 +28,7 @@ class Meeting(NamedTuple):
         if static is None:
             return self
         fixed = static[self.edge_index][..., None, None]
-        return self._replace(jacobian=jnp.where(fixed, 0.0, self.jacobian))
+        return self._replace(contact_jacobian=jnp.where(fixed, 0.0, self.contact_jacobian))
 
 
 def meeting(
@@ -38,17 +38,14 @@ def meeting(
     half_size: Float[Array, "N D"] | None = None,
 ) -> Meeting:
     """The places of round bodies, of bars about an ``anchor`` [m] and of boxes along the axes."""
-    first, second = edge_index
-    jacobian, sliding = jnp.ones((2, first.shape[0], 1, 1), position.dtype), []
-    displacement = position[second] - position[first]
+    at_ends = position[edge_index]
+    jacobian, sliding = jnp.ones((*edge_index.shape, 1, 1), position.dtype), []
     if anchor is not None:
-        bodies = HingedBodies(position, anchor)
-        begin, begin_sliding = bodies.closest_point(first, position[second])
-        end, end_sliding = bodies.closest_point(second, position[first])
-        of_first = bodies.contact_jacobian(first, position[second])
-        of_second = bodies.contact_jacobian(second, position[first])
-        displacement, sliding = end - begin, [begin_sliding, end_sliding]
-        jacobian = jnp.stack([of_first, of_second])
+        bodies, others = HingedBodies(position, anchor), at_ends[::-1]
+        jacobian = bodies.contact_jacobian(edge_index, others)
+        at_ends, along = bodies.closest_point(edge_index, others)
+        sliding = list(along)
+    displacement = at_ends[1] - at_ends[0]
     if half_size is not None:
         half_size = jnp.sum(half_size[edge_index], axis=0)
         displacement, sliding = box_displacement(displacement, half_size)
@@ -84,8 +81,8 @@ class HingedBodies(eqx.Module):
         return jnp.maximum(jnp.sum(self.radius_vector**2, axis=-1), _MIN_SQUARE)
 
     def closest_point(
-        self, node: Int[Array, " E"], point: Float[Array, "E D"]
-    ) -> tuple[Float[Array, "E D"], Float[Array, "E D"]]:
+        self, node: Int[Array, "*C"], point: Float[Array, "*C D"]
+    ) -> tuple[Float[Array, "*C D"], Float[Array, "*C D"]]:
         """The bars' points closest to `point` [m], and the directions in which they may slide.
 
         A direction is the bar's own (a unit vector) where the closest point lies inside the bar,
@@ -94,16 +91,16 @@ class HingedBodies(eqx.Module):
         radius, squared = self.radius_vector[node], self.radius_squared[node]
         fraction = jnp.sum((point - self.anchor[node]) * radius, axis=-1) / squared
         inside = self.hinged[node] & (fraction > 0.0) & (fraction < 2.0)
-        on_bar = self.anchor[node] + jnp.clip(fraction, 0.0, 2.0)[:, None] * radius
-        along = radius / jnp.sqrt(squared)[:, None]
+        on_bar = self.anchor[node] + jnp.clip(fraction, 0.0, 2.0)[..., None] * radius
+        along = radius / jnp.sqrt(squared)[..., None]
         return (
-            jnp.where(self.hinged[node][:, None], on_bar, self.position[node]),
-            jnp.where(inside[:, None], along, 0.0),
+            jnp.where(self.hinged[node][..., None], on_bar, self.position[node]),
+            jnp.where(inside[..., None], along, 0.0),
         )
 
     def contact_jacobian(
-        self, node: Int[Array, " E"], point: Float[Array, "E D"]
-    ) -> Float[Array, "E D D"]:
+        self, node: Int[Array, "*C"], point: Float[Array, "*C D"]
+    ) -> Float[Array, "*C D D"]:
         r"""The matrix J that maps a node's velocity to that of its material at `point` [m].
 
         With radius vector $r$ and $b$ from the hinge to the point,
@@ -112,10 +109,10 @@ class HingedBodies(eqx.Module):
         """
         radius, to_point = self.radius_vector[node], point - self.anchor[node]
         identity = jnp.eye(point.shape[-1], dtype=point.dtype)
-        turning = jnp.sum(radius * to_point, axis=-1)[:, None, None] * identity
-        turning = turning - radius[:, :, None] * to_point[:, None, :]
-        turning = turning / self.radius_squared[node][:, None, None]
-        return jnp.where(self.hinged[node][:, None, None], turning, identity)
+        turning = jnp.sum(radius * to_point, axis=-1)[..., None, None] * identity
+        turning = turning - radius[..., :, None] * to_point[..., None, :]
+        turning = turning / self.radius_squared[node][..., None, None]
+        return jnp.where(self.hinged[node][..., None, None], turning, identity)
 
 
 def box_displacement(

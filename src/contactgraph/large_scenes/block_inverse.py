@@ -69,7 +69,7 @@ def solve_block_diagonal(
 ) -> MassMatrixSolution:
     """Solve by the inverses of the groups. NaN where one has more nodes than `capacity`."""
     fixed = jax.lax.stop_gradient(matrix)
-    count, size = matrix.node.shape[0], matrix.size
+    count, size = matrix.node.shape
     edge_index = matrix.geometry.edge_index
     groups = find_groups(fixed.edge > 0, edge_index, count)
     blocks = jnp.where(groups.largest <= capacity, _blocks(fixed, groups, capacity), jnp.nan)
@@ -85,13 +85,13 @@ def solve_block_diagonal(
 
     solution = jax.lax.custom_linear_solve(matrix, vectors, solve, symmetric=True)
     jacobian = matrix.geometry.contact_jacobian
-    diagonal = _diagonal(matrix.rows, matrix.edge, jacobian, edge_index, groups, inverse)
+    diagonal = _diagonal(matrix.node, matrix.edge, jacobian, edge_index, groups, inverse)
     return MassMatrixSolution(solution, diagonal)
 
 
 def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "N s s"]:
     """Each group's block of the matrix, a row for each `Groups.group`; identity in empty slots."""
-    count, size, geometry = matrix.node.shape[0], matrix.size, matrix.geometry
+    (count, size), geometry = matrix.node.shape, matrix.geometry
     first, second = geometry.edge_index
     jacobian, edge = geometry.contact_jacobian, matrix.edge[:, None, None]
     outside = count * capacity * capacity
@@ -104,7 +104,7 @@ def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "
     identity = jnp.eye(size, dtype=matrix.node.dtype)
     own = edge * jnp.einsum("seji,sejk->seik", jacobian, jacobian)
     own = sum_at_nodes(own, geometry.edge_index, count)
-    own = own + matrix.rows[:, :, None] * identity
+    own = own + matrix.node[:, :, None] * identity
     cross = -edge * jnp.einsum("eji,ejk->eik", jacobian[0], jacobian[1])
     joins = matrix.edge > 0
     node = jnp.arange(count)

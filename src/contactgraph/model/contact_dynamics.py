@@ -203,7 +203,9 @@ class ContactDynamics(eqx.Module):
             candidate = candidate.at[before.edge_id].get(mode="fill", fill_value=False)
         if meeting is None and edge_index.shape[1]:
             meeting = self.features.meeting(nodes, position, edge_index)
-        jacobian = jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.jacobian
+        jacobian = (
+            jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.contact_jacobian
+        )
         # The nearest places of all edges come first.
         jacobian = jacobian[:, : edge_index.shape[1]]
         held = Joined(edge_index, jacobian)
