@@ -20,6 +20,7 @@ LIBRARY = (
     *(
         "data",
         "model",
+        "identify",
         "train",
         "control",
         "envs",

@@ -18,6 +18,7 @@ MAY_IMPORT = {
     "contactgraph.parallel": {"contactgraph.data", "contactgraph.ray_cluster"},
     "contactgraph.ray_cluster": {"contactgraph.data", "contactgraph.parallel"},
     "contactgraph.model": {"contactgraph.data"},
+    "contactgraph.identify": {"contactgraph.data", "contactgraph.model"},
     "contactgraph.train": {"contactgraph.data", "contactgraph.model"},
     "contactgraph.control": {"contactgraph.data", "contactgraph.feedback", "contactgraph.model"},
     "contactgraph.envs": {

@@ -8,7 +8,10 @@ import contactgraph
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-LIBRARY = ("data", "model", "train", "control", "envs", "interchange", "evaluate", "viz", "play")
+LIBRARY = (
+    *("data", "model", "identify", "train", "control", "envs"),
+    *("interchange", "evaluate", "viz", "play"),
+)
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = [
     *(f"contactgraph/{each}" for each in LIBRARY),

@@ -46,17 +46,6 @@ def units_of(dataset: Dataset, contact_distance: float, usual: float) -> Units:
     return Units(float(length), tuple(float(each) or 1.0 for each in spread))
 
 
-def typical_distance(dataset: Dataset) -> float:
-    """Median distance of two bodies over all pairs and states, m: the unit of force laws."""
-    found = []
-    for each in dataset:
-        first, second = np.triu_indices(each.scene.node_count, 1)
-        apart = each.position[:, first] - each.position[:, second]
-        found.append(np.linalg.norm(apart, axis=-1).ravel())
-    distance = np.concatenate(found)
-    return float(np.median(distance)) if distance.size else 1.0
-
-
 def in_units(dataset: Dataset, units: Units) -> Dataset:
     """The same trajectories, in these units."""
     every = tuple(_trajectory(each, units) for each in dataset)
