@@ -111,3 +111,16 @@ def test_a_component_that_drives_no_node_is_refused_for_bodies() -> None:
     undriven = replace(given.scene, control_of=np.array([[True, False], [False, False]]))
     with pytest.raises(InvalidInputError, match="trajectory 0: component 1 of the control, which"):
         identify(Dataset((replace(given, scene=undriven),)))
+
+
+def test_a_distance_of_the_callers_takes_the_place_of_the_datas() -> None:
+    """From there it is learned, but where velocities are means over a step."""
+    follows = followed("displacement")
+    moved = np.cumsum(0.04 * follows.velocity, axis=0)
+    own = identify(Dataset((replace(follows, position=moved),)), contact_distance=0.05)
+    assert own.in_data.contact_distance == pytest.approx(0.05)
+    assert own.config.averaged and not own.config.learned_contact_distance
+    kept = trajectories(scene(contact_distance=0.02))
+    given = scene_facts(kept).with_contact_distance(0.05)
+    assert given.config.contact_distance == 0.05 and given.config.learned_contact_distance
+    assert not scene_facts(kept).config.learned_contact_distance

@@ -10,7 +10,7 @@ import pytest
 
 from contactgraph.cli.models import facts_text
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
-from contactgraph.identify import Units, identify, in_units
+from contactgraph.identify import Units, fit_actuation, identify, in_units
 from contactgraph.identify.units import units_of
 from contactgraph.model import ModelState, ours, scene_nodes
 
@@ -61,10 +61,21 @@ def test_a_training_sees_the_same_numbers_whatever_the_units() -> None:
         np.testing.assert_allclose(two.scene.planes, one.scene.planes, rtol=1e-12)
         np.testing.assert_allclose(two.scene.reach, one.scene.reach, rtol=1e-12)
         np.testing.assert_allclose(two.scene.gravity, one.scene.gravity, rtol=1e-12)
-    near = metres.config.contact_distance
-    assert other.config.contact_distance == pytest.approx(near)
-    assert other.in_data.contact_distance == pytest.approx(LENGTHS * near)
+    assert other.config.contact_distance == pytest.approx(metres.config.contact_distance)
     assert "1000 of the data" in facts_text("ours", other)
+
+
+def test_facts_in_the_units_of_the_data_are_those_that_the_data_tell() -> None:
+    metres, other = identify(METRES).in_data, identify(OTHER).in_data
+    in_metres, in_other = (fit_actuation(each, 1.0)["hand"] for each in (METRES, OTHER))
+    for found, expected in ((metres, in_metres), (other, in_other)):
+        size = abs(expected.matrix).max()
+        error = found.actuation["hand"].matrix - expected.matrix
+        np.testing.assert_allclose(error, 0.0, atol=1e-9 * size)
+        assert found.actuation["hand"].damping == pytest.approx(expected.damping)
+    assert other.contact_distance == pytest.approx(LENGTHS * metres.contact_distance)
+    assert other.plane_distance["block"] == pytest.approx(LENGTHS * metres.plane_distance["block"])
+    assert (metres.speed, other.speed) == (1.0, LENGTHS)
 
 
 @pytest.mark.usefixtures("double_precision")

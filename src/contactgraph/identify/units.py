@@ -14,8 +14,6 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import TransitionEdges
-from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.motion_noise import in_lengths
 
 
@@ -53,40 +51,36 @@ def in_units(dataset: Dataset, units: Units) -> Dataset:
 
 
 def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) -> ContactDynamics:
-    """The trained preset `bodies`, for states and controls in the data's units.
+    """The trained preset `ours`, for states and controls in the data's units.
 
     ``fresh`` is the preset made for the data's units. What is not learned, such as the actuation,
     is taken from it.
     """
-    inference, noise, other = model.inference, model.prediction_noise, fresh.prediction_noise
+
+    def identified(each: Any) -> tuple[Any, ...]:
+        return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
+
+    def commanded(each: Any) -> Any:
+        return each.inference.message_passing.network.layers[0].weight
+
+    features: Any = fresh.features
+    inference: Any = fresh.inference
     arrays, static = eqx.partition(fresh, eqx.is_array)
     own = jax.tree.leaves(eqx.filter(model, eqx.is_array))
-    learned = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
-    if not isinstance(inference, TransitionEdges):
-
-        def laid(each: Any) -> tuple[Any, ...]:
-            return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
-
-        return eqx.tree_at(laid, learned, laid(fresh))
-    assert noise is not None and other is not None
-    first = inference.message_passing.network.layers[0].weight
-    begin = model.features.edge_size(model.dimension) + 1
-    commands = slice(begin, begin + inference.commands)
-    unit = jnp.asarray(units.control[len(units.control) - inference.commands :], first.dtype)
-
-    def parts(each: Any) -> tuple[Any, ...]:
-        head, passing = each.local_dynamics.head, each.inference.message_passing
-        weight = passing.network.layers[0].weight
-        return head.actuation, head.plane_distance, weight, each.prediction_noise
-
-    actuation, plane_distance, _, _ = parts(fresh)
-    by_command = first.at[:, commands].divide(unit)
-    in_data = in_lengths(noise, units.length, other)
-    moved = eqx.tree_at(parts, learned, (actuation, plane_distance, by_command, in_data))
-    if not isinstance(model.features, InvariantFeatures) or not model.features.learned:
-        return moved
-    distance = units.length * model.features.contact_distance
-    return eqx.tree_at(lambda each: each.features.contact_distance, moved, distance)
+    moved = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
+    moved = eqx.tree_at(identified, moved, identified(fresh))
+    if features.learned:
+        distance = units.length * model.features.contact_distance
+        moved = eqx.tree_at(lambda each: each.features.contact_distance, moved, distance)
+    noise, other = model.prediction_noise, fresh.prediction_noise
+    if noise is not None and other is not None:
+        scaled = in_lengths(noise, units.length, other)
+        moved = eqx.tree_at(lambda each: each.prediction_noise, moved, scaled)
+        count, begin = inference.commands, features.edge_size(fresh.dimension) + 1
+        unit = jnp.array(units.control[len(units.control) - count :])
+        weight = commanded(moved).at[:, begin : begin + count].divide(unit)
+        moved = eqx.tree_at(commanded, moved, weight)
+    return moved
 
 
 def _trajectory(each: Trajectory, units: Units) -> Trajectory:
