@@ -3,8 +3,11 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.dataset import Dataset, masses_vary
@@ -24,8 +27,9 @@ from contactgraph.identify.shapes import (
     plane_distances,
     with_shapes,
 )
-from contactgraph.identify.units import Units, in_data_units, in_units, units_of
+from contactgraph.identify.units import Units, in_units, units_of
 from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.model.motion_noise import in_lengths
 from contactgraph.model.presets import ModelConfig, Preset
 
 _AVERAGED = 0.95
@@ -82,10 +86,37 @@ class Facts:
         return replace(self, config=config)
 
     def in_data_units(self, model: ContactDynamics, preset: Preset) -> ContactDynamics:
-        """A model that ``preset`` made for `config`, as trained, for the units of the data."""
+        """A model that ``preset`` made for `config`, as trained, for states and controls in the
+        units of the data.
+
+        What is not learned, such as the actuation, is that of a fresh model for `in_data`.
+        """
         if {self.units.length, *self.units.control} == {1.0}:
             return model
-        return in_data_units(model, preset(self.in_data, key=jax.random.key(0)), self.units)
+
+        def identified(each: Any) -> tuple[Any, ...]:
+            return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
+
+        def commanded(each: Any) -> Any:
+            return each.inference.message_passing.network.layers[0].weight
+
+        fresh: Any = preset(self.in_data, key=jax.random.key(0))
+        arrays, static = eqx.partition(fresh, eqx.is_array)
+        own = jax.tree.leaves(eqx.filter(model, eqx.is_array))
+        moved = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
+        moved = eqx.tree_at(identified, moved, identified(fresh))
+        if fresh.features.learned:
+            distance = self.units.length * model.features.contact_distance
+            moved = eqx.tree_at(lambda each: each.features.contact_distance, moved, distance)
+        if model.prediction_noise is not None:
+            noise = in_lengths(model.prediction_noise, self.units.length, fresh.prediction_noise)
+            moved = eqx.tree_at(lambda each: each.prediction_noise, moved, noise)
+            count = fresh.inference.commands
+            begin = fresh.features.edge_size(fresh.dimension) + 1
+            unit = jnp.array(self.units.control[len(self.units.control) - count :])
+            weight = commanded(moved).at[:, begin : begin + count].divide(unit)
+            moved = eqx.tree_at(commanded, moved, weight)
+        return moved
 
 
 def scene_facts(dataset: Dataset) -> Facts:
@@ -163,9 +194,8 @@ def identify(dataset: Dataset, contact_distance: float | None = None) -> Facts:
     slides = any(constant > _SLIDES for constant, _ in slowing.values())
     bounces = any(each.bounce > _BOUNCES for each in impacts.values())
     # The friction of planes slows what lies on them.
-    borne = set[str]()
-    for each in dataset if dataset.dimension == 2 else ():
-        borne |= set(config.inertia) & set(each.scene.node_type) if on_planes(each.scene) else set()
+    flat = (each.scene for each in dataset if dataset.dimension == 2 and on_planes(each.scene))
+    borne = {name for scene in flat for name in scene.node_type if name in config.inertia}
     driven = any(each.scene.actuated.any() for each in dataset)
     config = replace(
         config,

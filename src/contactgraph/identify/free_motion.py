@@ -105,8 +105,8 @@ def fit_theta(trajectories: Iterable[Trajectory]) -> float:
         dt = each.scene.dt
         change.append(dt * (each.velocity[1:] - each.velocity[:-1]).ravel())
         extra.append((each.position[1:] - each.position[:-1] - dt * each.velocity[:-1]).ravel())
-    fit = _trimmed(np.concatenate(change)[:, None, None], np.concatenate(extra)[:, None])
-    return float(np.clip(fit.coefficients[0], 0.51, 0.99))
+    (theta,), _ = _trimmed(np.concatenate(change)[:, None, None], np.concatenate(extra)[:, None])
+    return float(np.clip(theta, 0.51, 0.99))
 
 
 def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str, ActuationFit]:
@@ -199,8 +199,9 @@ def _fit(steps: _Steps, theta: float, dt: float, *, absolute: bool, damped: bool
     known[..., -1] = steps.velocity
     if absolute:
         known[..., -2] = steps.position
-    fit = _trimmed(np.concatenate([steps.pinned, known], axis=-1), steps.change)
-    found = fit.coefficients[steps.pinned.shape[-1] :]
+    known = np.concatenate([steps.pinned, known], axis=-1)
+    found, residual = _trimmed(known, steps.change)
+    found = found[steps.pinned.shape[-1] :]
     # Back from the implicit step: with n its inertia, found = -dt (c + theta dt k) / n of v.
     by_velocity = max(float(found[-1]), _LEAST_FORGOTTEN / theta) if damped else 0.0
     inertia = 1.0 / (1.0 + theta * by_velocity)
@@ -210,20 +211,14 @@ def _fit(steps: _Steps, theta: float, dt: float, *, absolute: bool, damped: bool
         bias=found[dimension * size : dimension * (size + 1)] * inertia / dt,
         stiffness=stiffness,
         damping=max(0.0, -by_velocity * inertia / dt - theta * dt * stiffness),
-        residual=fit.residual,
+        residual=residual,
     )
 
 
-class _Trimmed(NamedTuple):
-    coefficients: np.ndarray
-    """[P]"""
-    residual: float
-    """Root mean square error of the kept steps."""
-
-
-def _trimmed(known: np.ndarray, found: np.ndarray) -> _Trimmed:
-    """Least squares of ``known`` [S, D, P] times P coefficients against ``found`` [S, D], which in
-    each round drop the steps that the last one explains worst."""
+def _trimmed(known: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coefficients [P] by least squares of ``known`` [S, D, P] times them against ``found`` [S, D],
+    which in each round drop the steps that the last one explains worst; and the root mean square
+    error of the others."""
     kept = np.ones(len(found), bool)
     coefficients, error = np.zeros(known.shape[-1]), np.zeros(len(found))
     for _ in range(_ROUNDS):
@@ -231,7 +226,7 @@ def _trimmed(known: np.ndarray, found: np.ndarray) -> _Trimmed:
         coefficients = np.linalg.lstsq(flat, found[kept].reshape(-1), rcond=None)[0]
         error = np.linalg.norm(found - known @ coefficients, axis=1)
         kept = error <= np.quantile(error, _KEPT)
-    return _Trimmed(coefficients, float(np.sqrt(np.mean(error[kept] ** 2))))
+    return coefficients, float(np.sqrt(np.mean(error[kept] ** 2)))
 
 
 def fit_slowing(

@@ -50,8 +50,13 @@ def with_shapes(config: ModelConfig, dataset: Dataset) -> ModelConfig:
         return replace(config, contact_distance=_touching(dataset, round_distances)[0])
     if config.inertia:
         # Outlines touch where they meet, and bodies at rest tell nothing else.
-        sizes = [size for each in dataset for size in _sizes(each.scene)]
-        config = replace(config, contact_distance=float(min(sizes)), learned_contact_distance=False)
+        sizes = (
+            outline_moments(outline)[0] ** (1.0 / dataset.dimension)
+            for each in dataset
+            for node in range(each.scene.node_count)
+            for outline in each.scene.outlines_of(node)
+        )
+        config = replace(config, contact_distance=min(sizes), learned_contact_distance=False)
         if dataset.dimension == 2:
             return config
         margin = _touching(dataset, distances(config))[0] - config.contact_distance
@@ -141,12 +146,6 @@ def with_turning(config: ModelConfig, dataset: Dataset) -> ModelConfig:
         # Of driven bodies places within a step would depend on the control.
         substeps=_PARTS if fast > _LITTLE and not driven else 1,
     )
-
-
-def _sizes(scene: Scene) -> list[float]:
-    """m; of each outline the root of its area, or the cube root of its volume."""
-    outlines = [each for node in range(scene.node_count) for each in scene.outlines_of(node)]
-    return [outline_moments(each)[0] ** (1.0 / scene.dimension) for each in outlines]
 
 
 def _turns(trajectory: Trajectory) -> np.ndarray:

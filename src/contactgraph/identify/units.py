@@ -1,20 +1,15 @@
-"""Units of training, so that those of the data do not matter; the trained model in the data's."""
+"""Units of training, so that those of the data do not matter."""
 
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
-from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.motion_noise import in_lengths
 
 
 @dataclass(frozen=True)
@@ -48,39 +43,6 @@ def in_units(dataset: Dataset, units: Units) -> Dataset:
     """The same trajectories, in these units."""
     every = tuple(_trajectory(each, units) for each in dataset)
     return dataclasses.replace(dataset, trajectories=every)
-
-
-def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) -> ContactDynamics:
-    """The trained preset `ours`, for states and controls in the data's units.
-
-    ``fresh`` is the preset made for the data's units. What is not learned, such as the actuation,
-    is taken from it.
-    """
-
-    def identified(each: Any) -> tuple[Any, ...]:
-        return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
-
-    def commanded(each: Any) -> Any:
-        return each.inference.message_passing.network.layers[0].weight
-
-    features: Any = fresh.features
-    inference: Any = fresh.inference
-    arrays, static = eqx.partition(fresh, eqx.is_array)
-    own = jax.tree.leaves(eqx.filter(model, eqx.is_array))
-    moved = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
-    moved = eqx.tree_at(identified, moved, identified(fresh))
-    if features.learned:
-        distance = units.length * model.features.contact_distance
-        moved = eqx.tree_at(lambda each: each.features.contact_distance, moved, distance)
-    noise, other = model.prediction_noise, fresh.prediction_noise
-    if noise is not None and other is not None:
-        scaled = in_lengths(noise, units.length, other)
-        moved = eqx.tree_at(lambda each: each.prediction_noise, moved, scaled)
-        count, begin = inference.commands, features.edge_size(fresh.dimension) + 1
-        unit = jnp.array(units.control[len(units.control) - count :])
-        weight = commanded(moved).at[:, begin : begin + count].divide(unit)
-        moved = eqx.tree_at(commanded, moved, weight)
-    return moved
 
 
 def _trajectory(each: Trajectory, units: Units) -> Trajectory:
