@@ -21,6 +21,7 @@ LIBRARY = (
         "data",
         "model",
         "large_scenes",
+        "identify",
         "train",
         "control",
         "envs",

@@ -24,6 +24,7 @@ MAY_IMPORT = {
         "contactgraph.bodies",
         "contactgraph.model",
     },
+    "contactgraph.identify": {"contactgraph.data", "contactgraph.bodies", "contactgraph.model"},
     "contactgraph.train": {
         "contactgraph.data",
         "contactgraph.bodies",

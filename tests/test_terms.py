@@ -9,8 +9,8 @@ import contactgraph
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
 LIBRARY = (
-    *("data", "bodies", "model", "large_scenes", "train", "control", "envs", "interchange"),
-    *("evaluate", "viz", "play"),
+    *("data", "bodies", "model", "large_scenes", "identify", "train", "control", "envs"),
+    *("interchange", "evaluate", "viz", "play"),
 )
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = [

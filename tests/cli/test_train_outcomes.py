@@ -2,15 +2,19 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import Trajectory, read_trajectories, write_trajectories
+from contactgraph.identify import identify, in_units
+from contactgraph.model import PRESETS, describe_model
 from contactgraph.train import FitProgress, FitResult, FitStatus, HeldOutBaselines
 
 BASELINES = HeldOutBaselines(0.375, 0.5, moving=True)
@@ -111,6 +115,27 @@ def test_a_training_interrupted_before_its_first_step_is_resumed_with_its_option
         assert recipe.steps == config["steps"] and recipe.use_contacts == config["use_contacts"]
         assert recipe.steps % recipe.check_every == 0, "a shorter last round is compiled once more"
         assert written.get("edge_types") in (None, model.inference.edge_types)
+
+
+def test_the_command_trains_what_a_user_gets_in_python(
+    recorded: Path, train: Callable, ends: Callable, interrupted: Callable, tmp_path: Path
+) -> None:
+    dataset = read_trajectories(recorded)
+    facts = identify(dataset)
+    ends(FitStatus.finished, 0.125)
+    assert train(*SHORT) == 0
+    stored = describe_model(tmp_path / "run" / "model.safetensors").config
+    assert eqx.tree_equal(asdict(stored), asdict(facts.in_data))
+    calls = interrupted("contactgraph.train.fit")
+    assert train(*SHORT, out="other") == 130
+    state, train_part, held_out, config = calls[0].arguments[:4]
+    fresh = PRESETS["ours-recurrent"](facts.config, key=jax.random.key(0))
+    assert eqx.tree_equal(state.model, fresh)
+    assert config.rollout_from == facts.rollout_from
+    own = in_units(dataset, facts.units)
+    control = np.concatenate([each.control for each in (*train_part, *held_out)])
+    expected = np.concatenate([each.control for each in own])
+    assert np.array_equal(np.sort(control, axis=0), np.sort(expected, axis=0))
 
 
 @pytest.mark.parametrize(

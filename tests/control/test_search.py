@@ -15,8 +15,7 @@ from contactgraph.control.approaches import Approach
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.model import ModelConfig, ModelState, ours, scene_nodes
+from contactgraph.model import ActuationFit, ModelConfig, ModelState, ours, scene_nodes
 
 DT, H, REACH = 0.05, 25, 0.1
 SERVO = ActuationFit(60.0 * np.eye(2), np.zeros(2), 0.0, 60.0, residual=0.0)

@@ -11,20 +11,20 @@ import pytest
 from model_scenes import follow, slippery_bodies
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.data.impact_fit import PLANE, Impacts
 from contactgraph.model import (
+    ActuationFit,
     ContactBelief,
     ContactDynamics,
+    Impacts,
     ModelConfig,
     ModelState,
     ours,
     scene_nodes,
 )
-from contactgraph.model.body_starts import told_numbers
 from contactgraph.model.body_types import PACE
 from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.filter import check_fit
+from contactgraph.model.presets import PLANE
 
 DT, STEPS = 0.05, 20
 TYPES = ("ball", "pillar", "hand")
@@ -212,12 +212,17 @@ def test_what_all_types_show_is_not_learned() -> None:
     met = ("ball", "puck"), ("ball", "cue")
     impacts = dict.fromkeys(met, Impacts(0.8, 0.3, None))
     slowing = ("deceleration_raw", "damper_raw")
-    assert told_numbers(slides, impacts, KINDS, np.inf) == (*slowing, "bounce_raw", "friction_raw")
-    quick = slides | {"puck": (2.0, 50.0)}
-    assert told_numbers(quick, impacts, KINDS, 10.0) == ("bounce_raw", "friction_raw")
-    impacts[met[0]] = Impacts(0.8, None, None)
-    assert told_numbers({"ball": (1.0, 0.0)}, impacts, KINDS, np.inf) == ("bounce_raw",)
-    assert told_numbers({}, {met[0]: Impacts(0.8, 0.3, None)}, KINDS, np.inf) == ()
+    seen = ModelConfig(2, 2, 0.1, node_types=KINDS, slowing=slides, impacts=impacts)
+    assert seen.told == (*slowing, "bounce_raw", "friction_raw")
+    quick = dataclasses.replace(seen, slowing=slides | {"puck": (2.0, 50.0)})
+    assert quick.told == seen.told
+    assert dataclasses.replace(quick, averaged=True).told == ("bounce_raw", "friction_raw")
+    smooth = {**impacts, met[0]: Impacts(0.8, None, None)}
+    assert dataclasses.replace(seen, slowing={"ball": (1.0, 0.0)}, impacts=smooth).told == (
+        "bounce_raw",
+    )
+    fewer = {met[0]: Impacts(0.8, 0.3, None)}
+    assert dataclasses.replace(seen, slowing={}, impacts=fewer).told == ()
 
     def laws(head: ContactLaw) -> jax.Array:
         types = jnp.eye(3)

@@ -17,7 +17,7 @@ from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene, generalized_coordinates
-from contactgraph.data.outlines import hull_moments, hull_rows
+from contactgraph.data.outlines import hull_rows, outline_moments
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
@@ -148,7 +148,7 @@ def test_the_rows_of_a_hull_hold_its_surface() -> None:
         corners = rows[:, :3] - points.mean(axis=0)
         outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert np.all(np.sum(outward * corners[:, 0], axis=1) > 0.0)
-    volume, square = hull_moments(BOX)
+    volume, square = outline_moments(BOX)
     np.testing.assert_allclose(volume, 8.0 * np.prod(HALF))
     np.testing.assert_allclose(square, ((HALF**2).sum() - HALF**2) / 3.0)
 
@@ -199,7 +199,7 @@ def test_levers_tell_how_the_points_of_a_body_move() -> None:
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 FLOOR = np.array([[0.0, 0.0, 1.0, 0.0]])
-SQUARE = hull_moments(BOX)[1]
+SQUARE = outline_moments(BOX)[1]
 TURN_LENGTH = float(np.sqrt(SQUARE.mean()))
 CONFIG = ModelConfig(
     3,

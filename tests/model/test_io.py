@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from model_scenes import DT, PRESETS, preset
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.actuation_fit import ActuationFit
-from contactgraph.data.impact_fit import Impacts
 from contactgraph.model import PRESETS as NAMED
 from contactgraph.model import (
+    ActuationFit,
     ContactDynamics,
     GumbelSample,
+    Impacts,
     ModelConfig,
     describe_model,
     load_model,

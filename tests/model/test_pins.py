@@ -17,10 +17,10 @@ from contactgraph.envs.shaped_tasks import box_outline
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.evaluate.open_loop_metrics import pin_drift
 from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps
+from contactgraph.identify import Units, identify, in_units
+from contactgraph.identify.shapes import CONTACT_DISTANCE
 from contactgraph.model import ContactDynamics, ModelConfig, scene_nodes
 from contactgraph.model.contact_belief import nothing_active
-from contactgraph.train.config import CONTACT_DISTANCE, body_defaults
-from contactgraph.train.units import Units, in_units
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -214,7 +214,7 @@ def test_data_of_a_chain_tell_the_force_on_its_hand_and_no_contact_distance() ->
     first = [np.stack(each)[None] for each in start((0.3, 1.2), (0.0, 0.0))]
     states = (np.concatenate(pair) for pair in zip(first, (position, velocity), strict=True))
     dataset = Dataset((chain(*states, driven()),))
-    found = body_defaults(dataset)
+    found = identify(dataset).in_data
     np.testing.assert_allclose(found.actuation["hand"].matrix, np.eye(2), atol=0.01)
     assert found.contact_distance == CONTACT_DISTANCE
     for each in in_units(dataset, Units(0.01, (1.0, 1.0))):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.data import Dataset, Scene, Trajectory, generalized_coordinates
+from contactgraph.identify import identify
 from contactgraph.model import (
     ContactDynamics,
     ModelConfig,
@@ -16,7 +17,7 @@ from contactgraph.model import (
     ours,
     scene_nodes,
 )
-from contactgraph.train import TrainConfig, body_defaults, fit, initial_state
+from contactgraph.train import TrainConfig, fit, initial_state
 
 DT = 0.02
 OUTLINE = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
@@ -68,7 +69,7 @@ def at_rest(states: int) -> Trajectory:
 
 
 def config(dataset: Dataset) -> ModelConfig:
-    return replace(ModelConfig(2, 0, DT, width=4), **vars(body_defaults(dataset)))
+    return replace(identify(dataset).config, width=4)
 
 
 def laws(model: ContactDynamics) -> tuple[float, float]:
@@ -88,7 +89,7 @@ def test_bounce_and_friction_of_a_model_are_found_from_its_own_motion() -> None:
         (jnp.array([0.0, 0.4]), jnp.array([0.4, 0.3])),
     )
     data = [recorded(true, seed) for seed in range(12)]
-    assert body_defaults(Dataset(tuple(data))).identified
+    assert config(Dataset(tuple(data))).identified
     training = TrainConfig(steps=7, batch_size=4, window_length=3, check_every=3)
     progress = []
     result = fit(

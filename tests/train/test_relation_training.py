@@ -10,10 +10,10 @@ from contactgraph.data.graph import pair_indices
 from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import collect
 from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
+from contactgraph.identify import relation_facts
 from contactgraph.model import ModelConfig, relations, scene_nodes
 from contactgraph.train import TrainConfig, fit, initial_state
 from contactgraph.train.batch import Window
-from contactgraph.train.units import typical_distance
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,8 @@ def runs():
 def test_the_unit_of_distances_is_their_median(runs):
     first, second = np.triu_indices(5, 1)
     apart = [np.linalg.norm(e.position[:, first] - e.position[:, second], axis=-1) for e in runs]
-    assert typical_distance(Dataset(tuple(runs), {})) == pytest.approx(np.median(apart))
+    found = relation_facts(Dataset(tuple(runs), {})).config.contact_distance
+    assert found == pytest.approx(np.median(apart))
 
 
 def test_training_without_labels_finds_stiffness_and_springs(runs):

@@ -188,10 +188,10 @@ def _print_dataset(path: Path) -> None:
 def _actuation(dataset: "Dataset") -> dict[str, str]:
     """A row that says how the control drives each actuated type; none without a control."""
     from contactgraph.data import InvalidInputError
-    from contactgraph.train.config import body_defaults
+    from contactgraph.identify import identify
 
     try:
-        fits = body_defaults(dataset).actuation
+        fits = identify(dataset).in_data.actuation
     except InvalidInputError as error:
         return {"actuation": f"unknown ({error})"}
     return {"actuation": "; ".join(f"{name}: {fit}" for name, fit in fits.items())} if fits else {}

@@ -3,11 +3,13 @@
 import dataclasses
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
+from contactgraph.identify import Facts, identify, relation_facts, scene_facts
 from contactgraph.model import (
     PAPER_PRESETS,
     PRESETS,
@@ -214,3 +216,74 @@ def check_edge_types(model: str, edge_types: int | None) -> None:
             f"--edge-types: {model} has no types to choose; it is for ours and relations, "
             f"found {edge_types}"
         )
+
+
+def facts_for(
+    dataset: Dataset,
+    model: str,
+    contact_distance: float | None,
+    edge_types: int | None,
+    rollout_from: float | None,
+    paper: Mapping[str, Any],
+) -> Facts:
+    """Facts for a model by its name, with the options that are not None, and with ``paper``, fields
+    of `ModelConfig` for the paper's forms.
+
+    Raises `InvalidInputError` where data and options do not fit.
+    """
+    if model.startswith("ours") and model != "ours-full-ab":
+        facts = identify(dataset, contact_distance)
+    else:
+        facts = relation_facts(dataset) if model == "relations" else scene_facts(dataset)
+        if facts.config.hinges and model == "relations":
+            raise InvalidInputError("--model relations: it has no hinges, but some bodies have")
+        if contact_distance is not None:
+            facts = facts.with_contact_distance(contact_distance)
+    config = dataclasses.replace(facts.config, **paper)
+    if edge_types is not None:
+        config = dataclasses.replace(config, edge_types=edge_types)
+    from_share = facts.rollout_from if rollout_from is None else rollout_from
+    return dataclasses.replace(facts, config=config, rollout_from=from_share)
+
+
+def facts_text(model: str, facts: Facts) -> str:
+    """What was chosen for a model by its name, and why, for people."""
+    config = facts.in_data
+    learned = "learned from there" if config.learned_contact_distance else "kept"
+    rows = {
+        "model": model,
+        "contact distance": f"{config.contact_distance:.4g}, {learned}",
+        "rollouts": f"in the loss from {100 * facts.rollout_from:.0f} % of the steps on",
+    }
+    if model == "relations":
+        rows = {"model": model, "unit of laws": f"{config.contact_distance:.4g} m"}
+    elif config.node_types:
+        known = ", ".join(name.removesuffix("_raw") for name in config.told)
+        by_gradients = "by gradients" + (f"; by the data alone: {known}" if known else "")
+        shapes = "boxes of their size" if config.boxes else "round"
+        turning = f"outlines of {', '.join(config.inertia)}, which turn"
+        planes = ", ".join(f"{name} {far:.3g}" for name, far in config.plane_distance.items())
+        slowed = (
+            f"{name} by {constant:.3g} and {by_speed:.3g} 1/s"
+            for name, (constant, by_speed) in config.slowing.items()
+        )
+        impacts = (
+            f"{one} on {other} bounce {law.bounce:.2g}"
+            + ("" if law.friction is None else f", friction {law.friction:.2g}")
+            for (one, other), law in config.impacts.items()
+        )
+        rows |= {
+            "types": f"{', '.join(config.node_types)}; {config.actuated_nodes} actuated",
+            "actuation": "; ".join(f"{n}: {fit}" for n, fit in config.actuation.items()) or "none",
+            "shapes": turning if config.inertia else shapes,
+            "parts of a step": f"{config.substeps}, in each of which contacts are found",
+            "learned": "bounce, friction and inertia, by simulated steps"
+            if config.identified
+            else by_gradients,
+            "planes": f"touched at {planes}" if planes else "none",
+            "slowed": ", ".join(slowed) or "not seen",
+            "impacts": ", ".join(impacts) or "not seen",
+            "velocities": "means over a step" if config.averaged else "at the end of a step",
+            "unit of length": f"{facts.units.length:g} of the data's",
+        }
+    return "\n".join(f"  {name:<17} {text}" for name, text in rows.items())

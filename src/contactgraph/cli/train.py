@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from contactgraph.cli.options import AUTO, TEMPERATURE, Device
-from contactgraph.cli.recipe import recipe
 
 if TYPE_CHECKING:
     from contactgraph.model import ContactSensor
@@ -95,7 +94,10 @@ class Train:
         from contactgraph.cli.models import (
             check_edge_types,
             contact_distance_text,
+            facts_for,
+            facts_text,
             held_out_text,
+            model_preset,
             paper_options,
             sensor_text,
         )
@@ -116,6 +118,7 @@ class Train:
             velocity_warning,
             without_turns,
         )
+        from contactgraph.identify import in_units
         from contactgraph.model import PRESETS
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
@@ -158,17 +161,23 @@ class Train:
         check_range("--every", options.every, 1, 100_000)
         recorded = subsample(read_trajectories(self.data), options.every)
         recorded = recorded if options.turns else without_turns(recorded)
-        names = ("seed", "contact_distance", "edge_types", "rollout_from")
-        told = {name: getattr(options, name) for name in names}
-        chosen = recipe(recorded, options.model, **told, paper=paper)
-        options, dataset = replace(options, model=chosen.name), chosen.dataset
-        config = replace(config, rollout_from=chosen.rollout_from)
+        facts = facts_for(
+            recorded,
+            options.model,
+            contact_distance=distance,
+            edge_types=options.edge_types,
+            rollout_from=options.rollout_from,
+            paper=paper,
+        )
+        dataset, length = in_units(recorded, facts.units), facts.units.length
+        config = replace(config, rollout_from=facts.rollout_from)
         checksum = sha256(self.data)
         train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
         devices = jax.local_devices()[: device_count(options.batch_size)]
-        model = chosen.model()
+        preset = model_preset(options.model)
+        model = preset(facts.config, key=jax.random.key(options.seed))
         for each in dataset:
             check_controls(model, each.scene, each.control_size, str(self.data))
         estimates = choice("--sensor", options.sensor, {"exact": False, "estimate": True})
@@ -210,16 +219,16 @@ class Train:
         ) -> None:
             result = {
                 "step": int(state.step),
-                "held_out_rmse_m": chosen.length * float(state.best_error),
+                "held_out_rmse_m": length * float(state.best_error),
                 "training_s": round(seconds, 1),
             }
             if baselines is not None:
                 result |= {f"held_out_{name}": value for name, value in asdict(baselines).items()}
-            best = replace(chosen.in_data_units(state.best_model), sensor=sensor)
+            best = replace(facts.in_data_units(state.best_model, preset), sensor=sensor)
             record = {**summary, **result}
-            save_model(folder.model_path, best, chosen.name, chosen.in_data, record)
+            save_model(folder.model_path, best, options.model, facts.in_data, record)
 
-        print("\n".join(["chosen by data and options:", *chosen.lines()]), flush=True)
+        print(f"chosen by data and options:\n{facts_text(options.model, facts)}", flush=True)
         warning = velocity_warning(recorded)
         if warning is not None:
             _warn(f"{self.data}: {warning}")
@@ -232,16 +241,16 @@ class Train:
                 check = replace(
                     check,
                     seconds=spent + check.seconds,
-                    held_out_rmse_m=chosen.length * check.held_out_rmse_m,
-                    baselines=check.baselines.in_lengths(chosen.length),
+                    held_out_rmse_m=length * check.held_out_rmse_m,
+                    baselines=check.baselines.in_lengths(length),
                 )
                 folder.save(check)
                 keep_best(check.state, check.seconds, check.baselines)
-                best = chosen.length * float(check.state.best_error)
+                best = length * float(check.state.best_error)
                 bar.advance(check.step, held_out_text(check.held_out_rmse_m, check.baselines, best))
 
             result = fit(state, train, held_out, config, on_check, devices)
-        seconds, baselines = spent + result.seconds, result.baselines.in_lengths(chosen.length)
+        seconds, baselines = spent + result.seconds, result.baselines.in_lengths(length)
         sensor = estimate_sensor(result.model, train) if estimates else None
         if math.isfinite(result.held_out_rmse_m):
             keep_best(result.state, seconds, baselines, sensor)
@@ -252,14 +261,14 @@ class Train:
                 f"{self.out}: {result.status.value}; try another --seed, a lower --learning-rate, "
                 f"more data or another --model"
             )
-        error = chosen.length * result.held_out_rmse_m
+        error = length * result.held_out_rmse_m
         print(
             f"{folder.model_path}: {held_out_text(error, baselines)} over "
             f"{config.window_length} steps; {result.status.value}"
         )
         print(
             f"trained for {seconds:.0f} s, compilation included; contact distance "
-            f"{contact_distance_text(chosen.in_data_units(result.model))}"
+            f"{contact_distance_text(facts.in_data_units(result.model, preset))}"
             + ("" if sensor is None else f"; contact sensor: {sensor_text(sensor)}")
         )
         if not result.baselines.moving:

@@ -101,7 +101,7 @@ def roll_out(
 class SweptBounds(eqx.Module):
     """Boxes around all positions of a node in a step of a rollout, one each of ``R`` rollouts.
 
-    They contain the positions that `contactgraph.model.collision` uses: the start of the step, its
+    They contain the positions that `contactgraph.bodies.geometry` uses: the start of the step, its
     end without contact, and its predicted end. The box of a hinged body contains the whole bar.
     """
 

@@ -72,8 +72,20 @@ def _begun(edges: list[tuple[int, int]]) -> np.ndarray:
     )
 
 
-def hull_moments(points: np.ndarray) -> tuple[float, np.ndarray]:
-    """The volume, m^3, and the squared radii of gyration [3], m^2, about the axes of the frame."""
+def outline_moments(outline: np.ndarray) -> tuple[float, np.ndarray]:
+    """The area, m^2, of an outline [V, 2] m that runs counter-clockwise, and the squared radius of
+    gyration about the origin, m^2; of a hull of points [V, 3] m its volume, m^3, and the three
+    about the axes of the frame."""
+    if outline.shape[1] == 3:
+        return _hull_moments(outline)
+    following = np.roll(outline, -1, axis=0)
+    cross = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]
+    squares = np.sum(outline**2 + outline * following + following**2, axis=1)
+    area = signed_area(outline)
+    return area, np.asarray(float(cross @ squares) / 12.0 / area)
+
+
+def _hull_moments(points: np.ndarray) -> tuple[float, np.ndarray]:
     corners = hull_rows(points)[: len(_hull(points).simplices), :3]
     one, other, third = corners.swapaxes(0, 1)
     # Of tetrahedra from the origin.

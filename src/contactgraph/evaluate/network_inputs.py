@@ -16,7 +16,9 @@ from contactgraph.data import (
     pair_indices,
     window_weights,
 )
-from contactgraph.train import TrainConfig, defaults_from_data
+from contactgraph.identify import scene_facts
+from contactgraph.identify.shapes import with_turning
+from contactgraph.train import TrainConfig
 from contactgraph.train.batch import (
     Window,
     WindowSource,
@@ -24,7 +26,6 @@ from contactgraph.train.batch import (
     has_resting_bodies,
     window_source,
 )
-from contactgraph.train.turning import find_turning
 
 _WINDOW = 8
 """Steps of a rollout in training."""
@@ -150,14 +151,14 @@ def network_windows(dataset: Dataset, types: Sequence[str]) -> NetworkWindows:
         source=window_source(batch, window_weights(batch, length, TrainConfig().event_fraction)),
         scenes=jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs),
         distractors=TrainConfig().bystanders if has_resting_bodies(batch) else 0,
-        nearest=1.03 * defaults_from_data(dataset).contact_distance,
+        nearest=1.03 * scene_facts(dataset).config.contact_distance,
     )
 
 
 def turn_length(dataset: Dataset) -> float | None:
     """Length by which the network counts angles, m; None: no body turns in the plane."""
-    turning = find_turning(dataset) if dataset.dimension == 2 else None
-    return None if turning is None else turning.turn_length
+    told = scene_facts(dataset).config
+    return with_turning(told, dataset).turn_length if dataset.dimension == 2 else None
 
 
 def input_scales(dataset: Dataset) -> InputScales:
@@ -172,7 +173,7 @@ def input_scales(dataset: Dataset) -> InputScales:
         return found if found > 0.0 else 1.0
 
     return InputScales(
-        contact_distance=defaults_from_data(dataset).contact_distance,
+        contact_distance=scene_facts(dataset).config.contact_distance,
         position=size(position),
         speed=size(velocity),
         speed_change=size(change),

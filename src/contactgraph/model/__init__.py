@@ -2,6 +2,7 @@
 
 from contactgraph.bodies.geometry import sum_at_nodes as sum_at_nodes
 from contactgraph.model.actuation import Actuation as Actuation
+from contactgraph.model.actuation import ActuationFit as ActuationFit
 from contactgraph.model.body_mass import MassBelief as MassBelief
 from contactgraph.model.body_mass import correct_masses as correct_masses
 from contactgraph.model.body_mass import first_masses as first_masses
@@ -58,6 +59,7 @@ from contactgraph.model.motion_noise import MotionNoise as MotionNoise
 from contactgraph.model.paper_presets import PAPER_PRESETS as PAPER_PRESETS
 from contactgraph.model.paper_presets import full_ab as full_ab
 from contactgraph.model.paper_presets import paper_literal as paper_literal
+from contactgraph.model.presets import Impacts as Impacts
 from contactgraph.model.presets import Inference as Inference
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset

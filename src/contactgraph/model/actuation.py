@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -10,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.bodies.geometry import relative_at_edges
-from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.model.free_bodies import ContactMotion
 from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
 
@@ -19,6 +19,31 @@ _MOST_DAMPED = 0.99
 _IMPACT_SPEED = 0.1
 """Change of velocity, in units of speed, from about which a step counts as an impact."""
 _SMALL = 1e-6
+
+
+@dataclass(frozen=True)
+class ActuationFit:
+    r"""Coefficients of a type's free motion, $\dot v = G u + b - k x - c v$, in implicit steps."""
+
+    matrix: np.ndarray
+    """[D, U] G, m/s^2 a unit of the control, for those of its components that drive bodies."""
+    bias: np.ndarray
+    """[D] b, m/s^2."""
+    stiffness: float
+    """k, 1/s^2; 0 where the control is relative to the body."""
+    damping: float
+    """c, 1/s."""
+    residual: float
+    """m/s; root mean square of what the kept steps leave unexplained of the velocity."""
+
+    def __str__(self) -> str:
+        """What drives the type, in a line."""
+        kind = "force"
+        if self.stiffness:
+            kind = f"servo to a target, k {self.stiffness:.3g} 1/s^2, c {self.damping:.3g} 1/s"
+        elif self.damping:
+            kind = f"servo relative to the body, c {self.damping:.3g} 1/s"
+        return f"{kind}, fits to {1e3 * self.residual:.2g} mm/s"
 
 
 class ActuatedMotion(eqx.Module):

@@ -18,12 +18,12 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.impact_fit import Impacts
 from contactgraph.data.json_fields import parse_json
 from contactgraph.model.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab
 from contactgraph.model.presets import (
+    Impacts,
     Inference,
     ModelConfig,
     Preset,

@@ -11,14 +11,16 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
 from jaxtyping import PRNGKeyArray
 
-from contactgraph.data.actuation_fit import ActuationFit
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.impact_fit import Impacts
-from contactgraph.model.actuation import Actuation
-from contactgraph.model.body_starts import told_numbers, with_impacts, with_shapes, with_slowing
+from contactgraph.model.actuation import Actuation, ActuationFit
+from contactgraph.model.body_types import DECELERATION, PACE
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
@@ -39,11 +41,27 @@ from contactgraph.model.local_dynamics import (
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
 
+PLANE = "plane"
+"""Stands for planes where types are named."""
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""
 _MOST_EDGE_TYPES = 16
 _MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04
 """Least probability of a transition in a step, and in a second of shorter steps."""
+_LEAST_SHARE, _MOST_SHARE = 1e-3, 0.99
+"""Of bounce and friction."""
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """What bodies of two types show where they strike each other."""
+
+    bounce: float
+    """Share of the speed of approach with which they part."""
+    friction: float | None
+    """Coulomb's coefficient; None where too few slide on each other to the end."""
+    mass_ratio: float | None
+    """Of the first type's mass to the second's; None where either does not move."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +145,21 @@ class ModelConfig:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """See `ContactLaw.told`; means over a step do not tell what stops a body within one."""
+        """`ContactLaw.told`: of `slowing`, where all types but the last, which is actuated, are
+        seen to slide, and of `impacts`, where all types take part.
+
+        Means over a step do not tell what stops a body within one.
+        """
         most_damped = 1.0 / self.dt if self.averaged else math.inf
-        return told_numbers(self.slowing, self.impacts, self.node_types, most_damped)
+        slide = {name for name, (_, damper) in self.slowing.items() if damper < most_damped}
+        rub = {pair for pair, each in self.impacts.items() if each.friction is not None}
+        types, passive = set(self.node_types), set(self.node_types[:-1])
+        met, rubbed = ({name for pair in pairs for name in pair} for pairs in (self.impacts, rub))
+        return (
+            *(("deceleration_raw", "damper_raw") if slide and slide >= passive else ()),
+            *(("bounce_raw",) if met and met >= types else ()),
+            *(("friction_raw",) if rubbed and rubbed >= types else ()),
+        )
 
 
 class Preset(Protocol):
@@ -228,9 +258,7 @@ def _law(
         told=config.told,
         key=key,
     )
-    head = with_shapes(head, config.plane_distance, config.inertia, types)
-    head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in types])
-    return with_impacts(head, config.impacts, types)
+    return _with_measured(head, config, types)
 
 
 def _transitions(
@@ -250,3 +278,73 @@ def default_cutoff(config: ModelConfig) -> SmoothCutoff:
     """From 1.5 to 2.5 contact distances."""
     distance = config.contact_distance
     return SmoothCutoff(inner=1.5 * distance, outer=2.5 * distance)
+
+
+def _with_measured(law: ContactLaw, config: ModelConfig, types: Sequence[str]) -> ContactLaw:
+    """With what ``config`` has of its ``types``: distances from planes, inertia, slowing by the
+    ground, and masses, bounce and friction that fit what pairs of types show.
+
+    Those of pairs are sums of what each type has, by least squares, and a type that is not seen has
+    what the others have on average.
+    """
+    rates = np.array([config.slowing.get(name, (0.0, 0.0)) for name in types])
+    rates = np.maximum(rates / [DECELERATION * law.speed, 1.0], np.log1p(np.exp(-6.0)))
+    deceleration, damper = (_inverse_softplus(rates) + 6.0).T / PACE
+    names = (*types, PLANE)
+    ratio, bounce, friction = {}, {}, {}
+    for pair, each in config.impacts.items():
+        if not set(pair) <= set(names):
+            continue
+        bounce[pair] = scipy.special.logit(np.clip(each.bounce, _LEAST_SHARE, _MOST_SHARE)) + 3.0
+        if each.mass_ratio:
+            ratio[pair] = np.log(each.mass_ratio)
+        if each.friction is not None:
+            friction[pair] = float(_inverse_softplus(max(each.friction, _LEAST_SHARE))) + 4.0
+    log_mass = _fitted(PACE * np.append(law.log_mass, 0.0), names, ratio, second=-1.0)[:-1]
+    values = {
+        "plane_distance": [config.plane_distance.get(name, 0.5 * law.length) for name in types],
+        "deceleration_raw": deceleration,
+        "damper_raw": damper,
+        # Ratios alone are seen: the lightest has the start's.
+        "log_mass": (log_mass - log_mass.min()) / PACE,
+        "bounce_raw": _shares(PACE * np.asarray(law.bounce_raw), names, bounce) / PACE,
+        "friction_raw": _shares(PACE * np.asarray(law.friction_raw), names, friction) / PACE,
+    }
+    if law.log_inertia is not None:
+        size = law.log_inertia.shape[1:]
+        inertia = [np.broadcast_to(config.inertia.get(name, 1.0), size) for name in types]
+        values["log_inertia"] = jnp.log(jnp.array(inertia)) / PACE
+    typed = [jnp.asarray(each, law.log_mass.dtype) for each in values.values()]
+    return eqx.tree_at(lambda each: [getattr(each, name) for name in values], law, typed)
+
+
+def _shares(
+    start: np.ndarray, names: Sequence[str], sums: Mapping[tuple[str, str], float]
+) -> np.ndarray:
+    """[types+1] whose sums are those of the pairs, from a start that is the mean of bodies'."""
+    of_bodies = [each for pair, each in sums.items() if PLANE not in pair]
+    if of_bodies:
+        mean = 0.5 * float(np.mean(of_bodies))
+        start = np.append(np.full(len(start) - 1, mean), start[-2] + start[-1] - mean)
+    return _fitted(start, names, sums, second=1.0)
+
+
+def _fitted(
+    start: np.ndarray,
+    names: Sequence[str],
+    pairs: Mapping[tuple[str, str], float],
+    *,
+    second: float,
+) -> np.ndarray:
+    """The least squares solution nearest to ``start`` [types+1], of which the first of each pair
+    plus ``second`` times the other is the value of the pair."""
+    each = np.eye(len(names))
+    every = [each[names.index(a)] + second * each[names.index(b)] for a, b in pairs]
+    rows = np.reshape(every, (-1, len(names)))
+    return np.asarray(
+        start + np.linalg.pinv(rows) @ (np.array(list(pairs.values())) - rows @ start)
+    )
+
+
+def _inverse_softplus(value: np.ndarray | float) -> np.ndarray:
+    return np.asarray(np.log(np.expm1(value)))

@@ -1,10 +1,6 @@
 """Training: loss terms, the loop, and checkpoints that survive anything."""
 
-from contactgraph.train.config import BodyDefaults as BodyDefaults
-from contactgraph.train.config import DataDefaults as DataDefaults
 from contactgraph.train.config import TrainConfig as TrainConfig
-from contactgraph.train.config import body_defaults as body_defaults
-from contactgraph.train.config import defaults_from_data as defaults_from_data
 from contactgraph.train.filter_loss import check_contacts as check_contacts
 from contactgraph.train.fit import fit as fit
 from contactgraph.train.fit import initial_state as initial_state

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.data.actuation_fit import driving_components, fit_actuation, fit_theta
 from contactgraph.envs import CarryExpert, DelayTask
 from contactgraph.evaluate import collect
+from contactgraph.identify import fit_actuation, fit_theta
+from contactgraph.identify.free_motion import driving_components
 
 DT = 0.05
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])

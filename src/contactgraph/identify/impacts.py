@@ -1,17 +1,16 @@
 """Bounce, friction and masses from impacts that trajectories show, before any training."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from contactgraph.data.actuation_fit import ActuationFit, driving_components
-from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
+from contactgraph.identify.free_motion import driving_components, driving_control
+from contactgraph.identify.shapes import hinged_nodes
+from contactgraph.model.actuation import ActuationFit
+from contactgraph.model.presets import PLANE, Impacts
 
-PLANE = "plane"
-"""Stands for planes where types are named."""
 _KINKS = 0.05
 """Change of velocity, in units of the greatest speed, from which a body met something."""
 _MEETS = 0.1
@@ -28,18 +27,6 @@ _EXACT = 0.01
 """Error in units of the greatest speed, from which an impact counts less."""
 
 
-@dataclass(frozen=True)
-class Impacts:
-    """What bodies of two types show where they strike each other."""
-
-    bounce: float
-    """Share of the speed of approach with which they part."""
-    friction: float | None
-    """Coulomb's coefficient; None where too few slide on each other to the end."""
-    mass_ratio: float | None
-    """Of the first type's mass to the second's; None where either does not move."""
-
-
 def fit_impacts(
     trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
 ) -> dict[tuple[str, str], Impacts]:
@@ -51,70 +38,71 @@ def fit_impacts(
     friction (up to 0.48), whatever the masses, and momentum tells the ratio of masses. Pairs of
     which fewer than ten impacts are seen are left out.
     """
-    seen: dict[tuple[str, str], list[np.ndarray]] = {}
+    drives = driving_components(trajectories)
+    struck: dict[tuple[str, str], list[np.ndarray]] = {}
+    carried: dict[tuple[str, str], list[np.ndarray]] = {}
     for each in trajectories:
-        for pair, impact in _impacts(each, _pushed(each, actuation)):
-            seen.setdefault(pair, []).append(impact)
-    impacts = {
-        pair: _fitted(np.array(found))
-        for pair, found in seen.items()
-        if len(found) >= _LEAST_IMPACTS
-    }
-    return _carried(trajectories, actuation) | impacts
+        pushed = _pushed(each, actuation, drives)
+        for pair, row in _impacts(each, pushed):
+            struck.setdefault(pair, []).append(row)
+        for pair, rows in _carried(each, pushed):
+            carried.setdefault(pair, []).append(rows)
+    ratios = {pair: _mass_ratio(np.concatenate(found)) for pair, found in carried.items()}
+    laws = {pair: Impacts(0.0, None, ratio) for pair, ratio in ratios.items() if ratio}
+    for pair, found in struck.items():
+        if len(found) >= _LEAST_IMPACTS:
+            laws[pair] = _fitted(np.array(found))
+    return laws
 
 
-def _carried(
-    trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
-) -> dict[tuple[str, str], Impacts]:
-    """The ratios of masses of types of which one carries the other, by the momentum that the one
-    gives and the other gets; without a bounce."""
-    rows: dict[tuple[str, str], list[np.ndarray]] = {}
-    for each in trajectories:
-        scene, kind = each.scene, each.scene.node_type
-        pushed, unit = _pushed(each, actuation), np.abs(each.velocity).max(initial=0.0)
-        gravity = np.zeros(scene.dimension) if scene.gravity is None else scene.gravity
-        change = np.diff(each.velocity, axis=0)
-        for hand in np.flatnonzero(scene.actuated & np.isfinite(pushed).all(axis=(0, 2))):
-            for body in np.flatnonzero(~scene.actuated & ~_hinged(scene)):
-                apart = np.linalg.norm(each.velocity[:, hand] - each.velocity[:, body], axis=-1)
-                along = np.maximum(apart[1:], apart[:-1]) < _ALONG * unit
-                moves = np.linalg.norm(each.velocity[1:, body], axis=-1) > _MEETS * unit
-                gives = (change - pushed)[:, hand]
-                gets = change[:, body] - scene.dt * gravity
-                ratio = -np.sum(gives * gets, axis=-1) / np.maximum(
-                    np.sum(gives**2, axis=-1), 1e-30
-                )
-                first, second = sorted((hand, body), key=lambda node: kind[node])
-                if first != hand:
-                    ratio = 1.0 / np.where(ratio == 0.0, np.nan, ratio)
-                size = np.linalg.norm(gives, axis=-1)
-                found = np.stack([ratio, size], axis=1)[along & moves]
-                rows.setdefault((kind[first], kind[second]), []).append(found)
-    found = {}
-    for pair, parts in rows.items():
-        ratio, size = np.concatenate(parts).T
-        ratio = ratio[size >= np.median(size)] if len(size) else size
-        if len(ratio) < _LEAST_STEPS:
-            continue
-        low, middle, high = np.quantile(ratio, [0.25, 0.5, 0.75])
-        if high - low < _SPREAD * middle:
-            found[pair] = Impacts(0.0, None, float(middle))
-    return found
-
-
-def _pushed(each: Trajectory, actuation: Mapping[str, ActuationFit]) -> np.ndarray:
+def _pushed(
+    each: Trajectory, actuation: Mapping[str, ActuationFit], drives: np.ndarray
+) -> np.ndarray:
     """[T, N, D] m/s: change of velocity by forces on actuated bodies; NaN of what servos move."""
-    scene, drives = each.scene, driving_components([each])
+    scene = each.scene
     pushed = np.zeros((len(each.control), scene.node_count, scene.dimension))
     for node in np.flatnonzero(scene.actuated):
         fit = actuation.get(scene.node_type[node])
-        acts = drives if scene.control_of is None else drives & scene.control_of[node]
-        if fit is None or fit.stiffness or fit.damping:
-            pushed[:, node] = np.nan
-            continue
-        control = np.where(acts, each.control, 0.0)[:, drives]
-        pushed[:, node] = scene.dt * (control @ fit.matrix.T + fit.bias)
+        pushed[:, node] = np.nan
+        if fit is not None and not (fit.stiffness or fit.damping):
+            control = driving_control(each, int(node), drives)
+            pushed[:, node] = scene.dt * (control @ fit.matrix.T + fit.bias)
     return pushed
+
+
+def _carried(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
+    """Of every hand and body the types, in their order; and [S, 2] of the steps in which both move
+    together the ratio of the masses, by the momentum that the one gives and the other gets, and
+    the size of what the hand gives, m/s."""
+    scene, kind = each.scene, each.scene.node_type
+    unit = np.abs(each.velocity).max(initial=0.0)
+    gravity = np.zeros(scene.dimension) if scene.gravity is None else scene.gravity
+    change = np.diff(each.velocity, axis=0)
+    for hand in np.flatnonzero(scene.actuated & np.isfinite(pushed).all(axis=(0, 2))):
+        for body in np.flatnonzero(~scene.actuated & ~hinged_nodes(scene)):
+            apart = np.linalg.norm(each.velocity[:, hand] - each.velocity[:, body], axis=-1)
+            along = np.maximum(apart[1:], apart[:-1]) < _ALONG * unit
+            moves = np.linalg.norm(each.velocity[1:, body], axis=-1) > _MEETS * unit
+            gives = (change - pushed)[:, hand]
+            gets = change[:, body] - scene.dt * gravity
+            ratio = -np.sum(gives * gets, axis=-1)
+            ratio = ratio / np.maximum(np.sum(gives**2, axis=-1), 1e-30)
+            first, second = sorted((hand, body), key=lambda node: kind[node])
+            if first != hand:
+                ratio = 1.0 / np.where(ratio == 0.0, np.nan, ratio)
+            rows = np.stack([ratio, np.linalg.norm(gives, axis=-1)], axis=1)
+            yield (kind[first], kind[second]), rows[along & moves]
+
+
+def _mass_ratio(rows: np.ndarray) -> float | None:
+    """The median of the ratios of `_carried`, of the steps in which much is given; None where too
+    few steps tell it, or they do not agree."""
+    ratio, size = rows.T
+    ratio = ratio[size >= np.median(size)] if len(size) else size
+    if len(ratio) < _LEAST_STEPS:
+        return None
+    low, middle, high = np.quantile(ratio, [0.25, 0.5, 0.75])
+    return float(middle) if high - low < _SPREAD * middle else None
 
 
 def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
@@ -126,7 +114,7 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
     before = (each.velocity[:-1] + 0.5 * pushed) / unit
     after = (each.velocity[1:] - 0.5 * pushed) / unit
     meets = ~(np.linalg.norm(after - before, axis=-1) <= _KINKS)
-    hinged = _hinged(scene)
+    hinged = hinged_nodes(scene)
     fixed = np.flatnonzero(np.zeros(len(kind), bool) if scene.static is None else scene.static)
     normals = np.zeros((0, scene.dimension)) if scene.planes is None else scene.planes[:, :-1]
     for step in np.flatnonzero(meets.any(axis=1)):
@@ -147,13 +135,6 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
         likely = [each for each in found if each[2][0] > _MEETS and each[2][1] > 0.0]
         if len(likely) == 1:
             yield likely[0][:2], likely[0][2]
-
-
-def _hinged(scene: Scene) -> np.ndarray:
-    """[N] whether each body hangs on a hinge."""
-    if scene.anchor is None:
-        return np.zeros(scene.node_count, bool)
-    return np.asarray(np.isfinite(scene.anchor).all(axis=-1))
 
 
 def _normal(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndarray:

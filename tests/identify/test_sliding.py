@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Scene, Trajectory
-from contactgraph.data.actuation_fit import distances, fit_slowing
 from contactgraph.envs import BilliardsTask, RestPolicy
 from contactgraph.evaluate import collect
+from contactgraph.identify import fit_slowing
+from contactgraph.identify.shapes import centre_distances
 
 DT, STEPS = 0.05, 40
-ROUND = partial(distances, boxes=False)
+ROUND = partial(centre_distances, boxes=False)
 
 
 def test_discs_on_a_table_of_box2d_are_slowed_by_coulombs_friction() -> None:

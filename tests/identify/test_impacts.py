@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, Scene, Trajectory
-from contactgraph.data.actuation_fit import ActuationFit, fit_actuation
-from contactgraph.data.impact_fit import PLANE, fit_impacts
 from contactgraph.envs import BilliardsTask, DoorExpert, DoorTask, RestPolicy, StrikingPolicy
 from contactgraph.evaluate import collect
-from contactgraph.train import body_defaults
+from contactgraph.identify import fit_actuation, fit_impacts, identify
+from contactgraph.model import ActuationFit
+from contactgraph.model.presets import PLANE
 
 
 @pytest.mark.usefixtures("engine")
@@ -66,6 +66,6 @@ def test_a_hinged_body_is_not_taken_for_a_point() -> None:
     doors = collect([DoorTask], [DoorExpert()], episodes=40, seed=0)
     assert doors[0].scene.has_hinges
     assert not fit_impacts(doors, fit_actuation(doors, 0.55))
-    assert not body_defaults(Dataset(tuple(doors))).slowing, (
+    assert not identify(Dataset(tuple(doors))).config.slowing, (
         "its middle slows down because it turns"
     )

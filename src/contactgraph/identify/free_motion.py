@@ -1,15 +1,16 @@
-"""Least squares of motion without contact, before any training: actuation, and sliding."""
+"""Least squares of the motion of bodies that nothing touches: stepping, actuation, and sliding."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.pins import pinned_group, pinned_motion
-from contactgraph.data.scene import box_distance
 from contactgraph.data.trajectory import Trajectory
+from contactgraph.identify.shapes import hinged_nodes
+from contactgraph.model.actuation import ActuationFit
 
 _UNMOVED = 0.02
 """Change of another body's velocity, as a share of the own one's root mean square, up to which a
@@ -26,10 +27,9 @@ _KEPT = 0.8
 _ROUNDS = 12
 _LEAST_FORGOTTEN = -0.98
 """Coefficient of the velocity that a body follows within a step; less has no implicit damper."""
-SERVO_KINDS = ("position", "displacement", "velocity")
-"""Kinds of control that a servo in the body follows, by `Scene.control_kind`."""
-DRIVING_KINDS = ("force", *SERVO_KINDS)
-"""Kinds of control that move the body on which they act."""
+_DRIVING_KINDS = {"force", "position", "displacement", "velocity"}
+"""Kinds of control that move the body on which they act, by `Scene.control_kind`: a force, and
+those that a servo in the body follows."""
 _BETTER = 0.5
 """Residual of a servo as a share of a force's, or of one with a target in the world as a share of
 that of one without, if it is one."""
@@ -48,6 +48,8 @@ _SHARES = (0.01, 0.1, 0.5, 1.0)
 """Of the median speed that the ground takes in a step, from which fits begin."""
 _MOVES = 0.02
 """Share of the greatest speed from which a body moves."""
+_LEVEL = 0.1
+"""Share of the speed along gravity, up to which a body slides on a ground."""
 _MOST_DAMPED = 10.0
 """Of a damper times dt: with a greater one a step hardly depends on it, and training that starts
 there does not get away."""
@@ -56,50 +58,21 @@ _SLOWED = 0.1
 """Share of the steps in which a body moves by itself that must slow it."""
 
 
-@dataclass(frozen=True)
-class ActuationFit:
-    r"""Coefficients of a type's free motion, $\dot v = G u + b - k x - c v$, in implicit steps."""
-
-    matrix: np.ndarray
-    """[D, U] G, m/s^2 a unit of the control, for those of its components that drive bodies."""
-    bias: np.ndarray
-    """[D] b, m/s^2."""
-    stiffness: float
-    """k, 1/s^2; 0 where the control is relative to the body."""
-    damping: float
-    """c, 1/s."""
-    residual: float
-    """m/s; root mean square of what the kept steps leave unexplained of the velocity."""
-
-    def __str__(self) -> str:
-        """What drives the type, in a line."""
-        kind = "force"
-        if self.stiffness:
-            kind = f"servo to a target, k {self.stiffness:.3g} 1/s^2, c {self.damping:.3g} 1/s"
-        elif self.damping:
-            kind = f"servo relative to the body, c {self.damping:.3g} 1/s"
-        return f"{kind}, fits to {1e3 * self.residual:.2g} mm/s"
-
-
 def driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
     """[U] bool: the components of the control that move a body.
 
     Without `Scene.control_kind` those are the first D, and all where several nodes have their own.
+    Raises `InvalidInputError` where commands precede them, or where one acts on no node.
     """
-    first = next(iter(trajectories))
-    scene, size = first.scene, first.control_size
+    every = tuple(trajectories)
+    scene = every[0].scene
     if scene.control_kind is not None:
-        return np.array([kind in DRIVING_KINDS for kind in scene.control_kind], bool)
-    if scene.control_of is not None:
-        return np.asarray(scene.control_of.any(axis=0))
-    return np.arange(size) < scene.dimension
-
-
-def checked_driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray:
-    """[U] bool: `driving_components`. Raises `InvalidInputError` where commands precede them, or
-    where one acts on no node."""
-    drives = driving_components(trajectories)
-    for index, each in enumerate(trajectories):
+        drives = np.array([kind in _DRIVING_KINDS for kind in scene.control_kind], bool)
+    elif scene.control_of is not None:
+        drives = np.asarray(scene.control_of.any(axis=0))
+    else:
+        drives = np.arange(every[0].control_size) < scene.dimension
+    for index, each in enumerate(every):
         acts = each.scene.control_of
         if acts is not None and np.any(drives & ~acts.any(axis=0)):
             raise InvalidInputError(
@@ -114,6 +87,14 @@ def checked_driving_components(trajectories: Iterable[Trajectory]) -> np.ndarray
     return drives
 
 
+def driving_control(trajectory: Trajectory, node: int, drives: np.ndarray) -> np.ndarray:
+    """[T, U']: the U' components of the control that drive bodies, see `driving_components`; 0
+    where one does not act on this node."""
+    of = trajectory.scene.control_of
+    acts = drives if of is None else drives & of[node]
+    return np.where(acts, trajectory.control, 0.0)[:, drives]
+
+
 def fit_theta(trajectories: Iterable[Trajectory]) -> float:
     """Share of a step's change of velocity that displaces within it, of the `ThetaMethod`.
 
@@ -124,12 +105,7 @@ def fit_theta(trajectories: Iterable[Trajectory]) -> float:
         dt = each.scene.dt
         change.append(dt * (each.velocity[1:] - each.velocity[:-1]).ravel())
         extra.append((each.position[1:] - each.position[:-1] - dt * each.velocity[:-1]).ravel())
-    known, found = np.concatenate(change), np.concatenate(extra)
-    kept, theta = np.ones(len(known), bool), 0.5
-    for _ in range(_ROUNDS):
-        theta = float(known[kept] @ found[kept] / max(known[kept] @ known[kept], 1e-30))
-        off = np.abs(found - theta * known)
-        kept = off <= np.quantile(off, _KEPT)
+    (theta,), _ = _trimmed(np.concatenate(change)[:, None, None], np.concatenate(extra)[:, None])
     return float(np.clip(theta, 0.51, 0.99))
 
 
@@ -138,33 +114,48 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
 
     A target in the world has a spring, a displacement or a velocity only a damper, a force neither.
     Without a `Scene.control_kind` there is a damper, or a spring, if that halves the
-    residual: of exact data the sign of a rounding error would else decide.
+    residual: of exact data the sign of a rounding error would else decide. Raises
+    `InvalidInputError` as `driving_components`.
     """
     trajectories = tuple(trajectories)
     drives = driving_components(trajectories)
     kinds = trajectories[0].scene.control_kind
-    told = None if kinds is None else {kind for kind in kinds if kind in DRIVING_KINDS}
+    driving = None if kinds is None else _DRIVING_KINDS & set(kinds)
     types: dict[str, list[tuple[Trajectory, int]]] = {}
     for each in trajectories:
         for node in np.flatnonzero(each.scene.actuated):
             types.setdefault(each.scene.node_type[node], []).append((each, int(node)))
     dt, fits = trajectories[0].scene.dt, {}
     for name, bodies in types.items():
-        rows = _free_steps(bodies, drives)
-        if told is not None:
-            fit = _fit(rows, theta, dt, absolute="position" in told, damped=told != {"force"})
+        steps = _free_steps(bodies, drives)
+        if driving is not None:
+            damped = driving != {"force"}
+            fit = _fit(steps, theta, dt, absolute="position" in driving, damped=damped)
         else:
-            fit = _fit(rows, theta, dt, absolute=False, damped=False)
+            fit = _fit(steps, theta, dt, absolute=False, damped=False)
             for absolute in (False, True):
-                servo = _fit(rows, theta, dt, absolute=absolute, damped=True)
+                servo = _fit(steps, theta, dt, absolute=absolute, damped=True)
                 fit = servo if servo.residual < _BETTER * fit.residual else fit
         fits[name] = fit
     return fits
 
 
-def _free_steps(bodies: list[tuple[Trajectory, int]], drives: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Position, velocity, control and change of velocity of the steps without a contact, and the
-    `pinned_motion` of what pins join to the body."""
+class _Steps(NamedTuple):
+    """Steps of bodies of one type that nothing touches."""
+
+    position: np.ndarray
+    """[S, D] m, before the step."""
+    velocity: np.ndarray
+    """[S, D] m/s, before the step."""
+    control: np.ndarray
+    """[S, U] those components that drive bodies."""
+    pinned: np.ndarray
+    """[S, D, 2K]: `pinned_motion` of what pins join to the body."""
+    change: np.ndarray
+    """[S, D] m/s of the velocity."""
+
+
+def _free_steps(bodies: list[tuple[Trajectory, int]], drives: np.ndarray) -> _Steps:
     scenes = [each.scene for each, _ in bodies if each.scene.pins is not None]
     names = sorted({name for each in scenes for name in each.node_type})
     parts = []
@@ -173,50 +164,44 @@ def _free_steps(bodies: list[tuple[Trajectory, int]], drives: np.ndarray) -> tup
         apart = ~group & (np.arange(len(group)) != node)
         offset = np.linalg.norm(each.position - each.position[:, node : node + 1], axis=-1)
         offset[:, ~apart] = np.inf
-        acts = drives
-        if each.scene.control_of is not None:
-            acts = drives & each.scene.control_of[node]
         changes = np.diff(each.velocity, axis=0)
-        change, others = changes[:, node], np.linalg.norm(changes[:, apart], axis=-1)
-        moved = others.max(axis=1, initial=0.0)
+        steps = _Steps(
+            position=each.position[:-1, node],
+            velocity=each.velocity[:-1, node],
+            control=driving_control(each, node, drives),
+            pinned=pinned_motion(each.velocity, group, each.scene.node_type, names),
+            change=changes[:, node],
+        )
+        moved = np.linalg.norm(changes[:, apart], axis=-1).max(axis=1, initial=0.0)
         nearest = np.minimum(offset[:-1], offset[1:]).min(axis=1, initial=np.inf)
-        control = np.where(acts, each.control, 0.0)[:, drives]
-        start = each.position[:-1, node], each.velocity[:-1, node]
-        carried = pinned_motion(each.velocity, group, each.scene.node_type, names)
-        parts.append((*start, control, carried, change, moved, nearest))
+        parts.append((*steps, moved, nearest))
     *rows, moved, nearest = (np.concatenate(part) for part in zip(*parts, strict=True))
-    free = moved <= _UNMOVED * np.sqrt(np.mean(np.sum(rows[-1] ** 2, axis=-1)))
+    every = _Steps._make(rows)
+    free = moved <= _UNMOVED * np.sqrt(np.mean(np.sum(every.change**2, axis=-1)))
     quantile = _FAR
     if free.mean() < _LEAST_FREE:
         free, quantile = np.ones_like(free), _ALONE
     near = free & np.isfinite(nearest)
     free &= nearest >= (np.quantile(nearest[near], quantile) if near.any() else 0.0)
-    return tuple(row[free] for row in rows)
+    return _Steps._make(each[free] for each in every)
 
 
-def _fit(
-    rows: tuple[np.ndarray, ...], theta: float, dt: float, *, absolute: bool, damped: bool
-) -> ActuationFit:
-    position, velocity, control, carried, change = rows
-    dimension, size = change.shape[1], control.shape[1]
+def _fit(steps: _Steps, theta: float, dt: float, *, absolute: bool, damped: bool) -> ActuationFit:
+    dimension, size = steps.change.shape[1], steps.control.shape[1]
     # Unknowns: G row by row, b, friction, then one coefficient each of x (where absolute) and v.
-    known = np.zeros((len(change), dimension, dimension * (size + 1) + 2 + absolute))
+    known = np.zeros((len(steps.change), dimension, dimension * (size + 1) + 2 + absolute))
     for axis in range(dimension):
-        known[:, axis, axis * size : (axis + 1) * size] = control
+        known[:, axis, axis * size : (axis + 1) * size] = steps.control
         known[:, axis, dimension * size + axis] = float(damped)
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    known[..., dimension * (size + 1)] = velocity / np.maximum(speed, 1e-12) * (not damped)
-    known[..., -1] = velocity
+    speed = np.linalg.norm(steps.velocity, axis=1, keepdims=True)
+    direction = steps.velocity / np.maximum(speed, 1e-12)
+    known[..., dimension * (size + 1)] = direction * (not damped)
+    known[..., -1] = steps.velocity
     if absolute:
-        known[..., -2] = position
-    known = np.concatenate([carried, known], axis=-1)
-    kept, found, off = np.ones(len(change), bool), np.zeros(known.shape[-1]), np.zeros(len(change))
-    for _ in range(_ROUNDS):
-        flat = known[kept].reshape(-1, known.shape[-1])
-        found = np.linalg.lstsq(flat, change[kept].reshape(-1), rcond=None)[0]
-        off = np.linalg.norm(change - known @ found, axis=1)
-        kept = off <= np.quantile(off, _KEPT)
-    found = found[carried.shape[-1] :]
+        known[..., -2] = steps.position
+    known = np.concatenate([steps.pinned, known], axis=-1)
+    found, residual = _trimmed(known, steps.change)
+    found = found[steps.pinned.shape[-1] :]
     # Back from the implicit step: with n its inertia, found = -dt (c + theta dt k) / n of v.
     by_velocity = max(float(found[-1]), _LEAST_FORGOTTEN / theta) if damped else 0.0
     inertia = 1.0 / (1.0 + theta * by_velocity)
@@ -226,22 +211,22 @@ def _fit(
         bias=found[dimension * size : dimension * (size + 1)] * inertia / dt,
         stiffness=stiffness,
         damping=max(0.0, -by_velocity * inertia / dt - theta * dt * stiffness),
-        residual=float(np.sqrt(np.mean(off[kept] ** 2))),
+        residual=residual,
     )
 
 
-def distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
-    """[T+1, N, N] m: between the centres of bodies, of themselves infinite.
-
-    ``boxes``: those that have a size are boxes, see `box_distance`.
-    """
-    offset = trajectory.position[:, :, None] - trajectory.position[:, None]
-    half = trajectory.scene.half_size if boxes else None
-    if half is None:
-        apart = np.linalg.norm(offset, axis=-1)
-    else:
-        apart = box_distance(offset, half[:, None] + half)
-    return apart + np.diag(np.full(trajectory.scene.node_count, np.inf))
+def _trimmed(known: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coefficients [P] by least squares of ``known`` [S, D, P] times them against ``found`` [S, D],
+    which in each round drop the steps that the last one explains worst; and the root mean square
+    error of the others."""
+    kept = np.ones(len(found), bool)
+    coefficients, error = np.zeros(known.shape[-1]), np.zeros(len(found))
+    for _ in range(_ROUNDS):
+        flat = known[kept].reshape(-1, known.shape[-1])
+        coefficients = np.linalg.lstsq(flat, found[kept].reshape(-1), rcond=None)[0]
+        error = np.linalg.norm(found - known @ coefficients, axis=1)
+        kept = error <= np.quantile(error, _KEPT)
+    return coefficients, float(np.sqrt(np.mean(error[kept] ** 2)))
 
 
 def fit_slowing(
@@ -265,19 +250,17 @@ def fit_slowing(
         far = np.minimum(apart[:-1], apart[1:]) > _CLEAR * contact_distance
         with np.errstate(invalid="ignore"):  # of a body from itself
             parts = apart[1:] - apart[:-1] > _PARTS * contact_distance
-        clear = np.all(far | parts, axis=-1)
         speed = np.linalg.norm(velocity, axis=-1)
         before, after = speed[:-1], speed[1:]
         rests = after < _RESTS * before
         straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * before * after
         alone = before > _MOVES * speed.max(initial=0.0)
-        alone &= clear & (straight | rests) & ~scene.actuated
-        if scene.anchor is not None:  # a hinged body turns
-            alone &= ~np.isfinite(scene.anchor).all(axis=-1)
+        alone &= np.all(far | parts, axis=-1) & (straight | rests) & ~scene.actuated
+        alone &= ~hinged_nodes(scene)  # which slow down because they turn
         slides = alone & (after < before)
         if scene.gravity is not None and scene.has_weight:
             up = scene.gravity / np.linalg.norm(scene.gravity)
-            slides &= np.abs(velocity[:-1] @ up) < 0.1 * before
+            slides &= np.abs(velocity[:-1] @ up) < _LEVEL * before
         for node, name in enumerate(scene.node_type):
             found = np.stack([before[:, node], after[:, node]], axis=1)[slides[:, node]]
             rows.setdefault(name, []).append(found)

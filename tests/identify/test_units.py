@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.cli.recipe import recipe
+from contactgraph.cli.models import facts_text
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
-from contactgraph.model import ModelState, scene_nodes
-from contactgraph.train.units import Units, in_units, units_of
+from contactgraph.identify import Units, fit_actuation, identify, in_units
+from contactgraph.identify.units import units_of
+from contactgraph.model import ModelState, ours, scene_nodes
 
 STEPS, DT = 40, 0.04
 LENGTHS, COMMANDS = 1000.0, np.array([20.0, 20.0, 0.1])
@@ -50,10 +51,10 @@ OTHER = in_units(METRES, Units(1.0 / LENGTHS, tuple(1.0 / COMMANDS)))
 
 
 def test_a_training_sees_the_same_numbers_whatever_the_units() -> None:
-    metres, other = recipe(METRES), recipe(OTHER)
-    assert metres.name == "ours"
+    metres, other = identify(METRES), identify(OTHER)
     assert (metres.units.length, other.units.length) == (1.0, LENGTHS)
-    for one, two in zip(metres.dataset, other.dataset, strict=True):
+    scaled = in_units(METRES, metres.units), in_units(OTHER, other.units)
+    for one, two in zip(*scaled, strict=True):
         for name in ("position", "velocity", "control"):
             expected = getattr(one, name).astype(np.float32)
             np.testing.assert_array_equal(getattr(two, name).astype(np.float32), expected)
@@ -61,15 +62,29 @@ def test_a_training_sees_the_same_numbers_whatever_the_units() -> None:
         np.testing.assert_allclose(two.scene.reach, one.scene.reach, rtol=1e-12)
         np.testing.assert_allclose(two.scene.gravity, one.scene.gravity, rtol=1e-12)
     assert other.config.contact_distance == pytest.approx(metres.config.contact_distance)
-    assert any("1000 of the data" in line for line in other.lines())
+    assert "1000 of the data" in facts_text("ours", other)
+
+
+def test_facts_in_the_units_of_the_data_are_those_that_the_data_tell() -> None:
+    metres, other = identify(METRES).in_data, identify(OTHER).in_data
+    in_metres, in_other = (fit_actuation(each, 1.0)["hand"] for each in (METRES, OTHER))
+    for found, expected in ((metres, in_metres), (other, in_other)):
+        size = abs(expected.matrix).max()
+        error = found.actuation["hand"].matrix - expected.matrix
+        np.testing.assert_allclose(error, 0.0, atol=1e-9 * size)
+        assert found.actuation["hand"].damping == pytest.approx(expected.damping)
+    assert other.contact_distance == pytest.approx(LENGTHS * metres.contact_distance)
+    assert other.plane_distance["block"] == pytest.approx(LENGTHS * metres.plane_distance["block"])
+    assert (metres.speed, other.speed) == (1.0, LENGTHS)
 
 
 @pytest.mark.usefixtures("double_precision")
 def test_a_model_predicts_the_same_motion_in_the_units_of_its_data() -> None:
     """Weights as after training: every array moved at random. In double precision, because contacts
     enlarge rounding."""
-    found = [recipe(each) for each in (METRES, OTHER)]
-    arrays, static = eqx.partition(found[0].model(), eqx.is_inexact_array)
+    found = [identify(each) for each in (METRES, OTHER)]
+    fresh = ours(found[0].config, key=jax.random.key(0))
+    arrays, static = eqx.partition(fresh, eqx.is_inexact_array)
     leaves, tree = jax.tree.flatten(arrays)
     keys = jax.random.split(jax.random.key(1), len(leaves))
     moved = [
@@ -78,8 +93,8 @@ def test_a_model_predicts_the_same_motion_in_the_units_of_its_data() -> None:
     trained = eqx.combine(jax.tree.unflatten(tree, moved), static)
     rollout = eqx.filter_jit(lambda model, *given: model.rollout(*given))
     ends = []
-    for chosen, data, length in ((found[0], METRES, 1.0), (found[1], OTHER, LENGTHS)):
-        model = chosen.in_data_units(trained)
+    for facts, data, length in ((found[0], METRES, 1.0), (found[1], OTHER, LENGTHS)):
+        model = facts.in_data_units(trained, ours)
         each = data.trajectories[0]
         nodes = scene_nodes(each.scene)
         start = jnp.asarray(each.position[9]), jnp.asarray(each.velocity[9])
