@@ -47,5 +47,4 @@ from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
 
-for room in ("data", "bodies", "model", "control"):
-    note_bindings(f"contactgraph.{room}")
+note_bindings(*(f"contactgraph.{each}" for each in ("data", "bodies", "model", "control")))

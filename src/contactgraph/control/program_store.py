@@ -76,13 +76,14 @@ def stored(call: Callable, static: Any, like: int | None = None) -> Callable:
     return traced
 
 
-def note_bindings(package: str) -> None:
-    """Remember what the names of a package's modules and classes are bound to.
+def note_bindings(*packages: str) -> None:
+    """Remember what the names of the packages' modules and classes are bound to.
 
     A program on disk is that of the source: it is not used once a name is bound to something else.
+    What was bound anew before this call is not noticed.
     """
     for name, module in list(sys.modules.items()):
-        if name == package or name.startswith(f"{package}."):
+        if f"{name}.".startswith(tuple(f"{package}." for package in packages)):
             own = [each for each in vars(module).values() if isinstance(each, type)]
             classes = [each for each in own if each.__module__ == name]
             _bindings.extend((each, dict(vars(each))) for each in (module, *classes))

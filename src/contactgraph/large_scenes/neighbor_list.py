@@ -3,7 +3,8 @@
 import dataclasses
 import itertools
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Generic, TypeVar
 
 import equinox as eqx
@@ -284,42 +285,35 @@ def _list_for(model: ContactDynamics, dataset: Dataset, count: int) -> NeighborL
     states = list(_states(dataset, count))
     if count >= CELLS_FROM:
         return NeighborList(*_cell_sizes(model, states, _SPARE))
-    cutoff, dt = _outer(model), model.dt
-
-    @jax.jit
-    def near(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
-        bound = travel_bound(position, velocity, None, anchor, dt)
-        return jnp.sum(near_pairs(position, bound, mask, cutoff))
-
-    most = max(int(near(*state)) for state in states)
+    most = _most(model, states, lambda *at: jnp.sum(near_pairs(*at)))
     return NeighborList(max(int(np.ceil(_SPARE * most)), most + _MIN_SPARE), None, None)
 
 
-def _cell_sizes(model: ContactDynamics, states: Iterable[_State], spare: float) -> tuple[int, int]:
+def _cell_sizes(model: ContactDynamics, states: Sequence[_State], spare: float) -> tuple[int, int]:
     """`spare` times the most near pairs, and the most nodes in a cell, of these states."""
-    cutoff, dt = _outer(model), model.dt
-    # A faster node makes all cells longer, which divides the scene otherwise.
-    longer = jnp.linspace(0.0, _LONGER * cutoff, _LENGTHS)
 
-    @jax.jit
-    def fullest(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
-        bound = travel_bound(position, velocity, None, anchor, dt) + longer[:, None]
-        each = jax.vmap(lambda bound: cell_candidates(position, bound, mask, cutoff, 1))(bound)
+    def fullest(position: Array, bound: Array, mask: Array, cutoff: float) -> Array:
+        # A faster node makes all cells longer, which divides the scene otherwise.
+        longer = bound + jnp.linspace(0.0, _LONGER * cutoff, _LENGTHS)[:, None]
+        each = jax.vmap(lambda bound: cell_candidates(position, bound, mask, cutoff, 1))(longer)
         return jnp.max(each.largest_cell)
 
-    @jax.jit
-    def near(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
-        bound = travel_bound(position, velocity, None, anchor, dt)
-        return jnp.sum(cell_candidates(position, bound, mask, cutoff, capacity).near)
-
-    capacity = max(1, *(int(fullest(*state)) for state in states))
-    pairs = max(1, *(int(near(*state)) for state in states))
-    return int(np.ceil(spare * pairs)), int(np.ceil(spare * capacity))
+    capacity = max(1, _most(model, states, fullest))
+    search = partial(cell_candidates, capacity=capacity)
+    pairs = _most(model, states, lambda *at: jnp.sum(search(*at).near))
+    return int(np.ceil(spare * max(1, pairs))), int(np.ceil(spare * capacity))
 
 
-def _outer(model: ContactDynamics) -> float:
+def _most(model: ContactDynamics, states: Sequence[_State], count: Callable[..., Array]) -> int:
+    """The largest ``count(position, bound, mask, cutoff)`` of these states; see `NeighborList`."""
     assert isinstance(model.cutoff, SmoothCutoff)
-    return model.cutoff.outer
+    cutoff, dt = model.cutoff.outer, model.dt
+
+    @jax.jit
+    def counted(position: Array, velocity: Array, mask: Array, anchor: Array | None) -> Array:
+        return count(position, travel_bound(position, velocity, None, anchor, dt), mask, cutoff)
+
+    return max(int(counted(*state)) for state in states)
 
 
 def _states(dataset: Dataset, count: int) -> Iterator[_State]:
