@@ -20,10 +20,10 @@ from contactgraph.data import (
     InvalidInputError,
     Scene,
     Trajectory,
-    describe_file,
     read_trajectories,
     write_trajectories,
 )
+from contactgraph.data.dataset_file import ARRAYS, REQUIRED
 
 RECORDED = ("position", "velocity", "control", "contact", "link_positions", "tracked")
 OTHERS = ("measured_at", "holding", "orientation", "angular_velocity")
@@ -206,23 +206,6 @@ def test_long_metadata_and_many_chunks(tmp_path: Path) -> None:
     assert found.trajectories[0].position.shape == (400_001, 3, 2)
 
 
-def test_describe_file(tmp_path: Path) -> None:
-    path = tmp_path / "two.h5"
-    runs = [one_run(steps=3, nodes=2), one_run(steps=4, nodes=3)]
-    write_trajectories(path, runs, {"task": "push"})
-    summary = describe_file(path)
-    assert summary.format_version == 2
-    assert summary.trajectory_name == ("000000", "000001")
-    assert summary.steps == (3, 4)
-    assert summary.node_name == tuple(run.scene.node_name for run in runs)
-    assert (summary.dt, summary.dimension, summary.control_size) == ((0.05,) * 2, (2, 2), (2, 2))
-    assert summary.has_contact == summary.has_holding == (False, False)
-    assert summary.has_orientation == (False, False)
-    assert (summary.control_kind, summary.static_count) == ((None, None), (0, 0))
-    assert summary.metadata == {"task": "push"}
-    assert summary.size == path.stat().st_size
-
-
 def test_trajectories_written_by_hand_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
     write_trajectories(tmp_path / "a.h5", [one_run(float(i)) for i in range(11)])
     with h5py.File(tmp_path / "a.h5", "r+") as file:
@@ -242,7 +225,22 @@ def test_the_unit_of_a_control_is_stored_where_all_of_it_is_force(tmp_path: Path
         write_trajectories(tmp_path / "a.h5", [one_run(control_kind=kinds)])
         with h5py.File(tmp_path / "a.h5") as file:
             assert file["trajectories/000000/control"].attrs.get("unit") == unit
-        assert describe_file(tmp_path / "a.h5").control_kind == (kinds,)
+        (found,) = read_trajectories(tmp_path / "a.h5")
+        assert found.scene.control_kind == kinds
+
+
+def test_the_layout_in_the_documentation_is_the_one_of_the_code() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "file-format.md").read_text(encoding="utf-8")
+    line = re.compile(
+        r"│   ├── (\w+) +\[(.*?)\]  (?:.*?unit \"(.*?)\")?.*?(\(optional\))?$", re.MULTILINE
+    )
+    described = {
+        name: (tuple(axes.split(", ")), unit or None, not optional)
+        for name, axes, unit, optional in line.findall(page)
+    }
+    assert described == {
+        name: (field.axis, field.unit, name in REQUIRED) for name, field in ARRAYS.items()
+    }
 
 
 def test_the_examples_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

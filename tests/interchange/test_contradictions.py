@@ -271,7 +271,7 @@ def test_times_in_a_unit_that_is_not_told(tmp_path: Path, unit: float, message: 
             "axis is for bodies of the plane",
         ),
         (BODY.format("[1, 1]") + "missing = 3\n", "missing is for recorded numbers"),
-        (XY + "mass = -1\n", "mass must not be negative"),
+        (XY + "mass = -1\n", "mass must be finite and not negative"),
         (
             '[[body]]\nname = "box"\n[body.keypoints]\ncolumns = ["x", "y", "x", "y"]\n',
             "'points' is missing",

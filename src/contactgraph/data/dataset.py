@@ -1,14 +1,14 @@
 """Trajectories that belong together: split for training, subsampled, checked."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import passive_nodes
 from contactgraph.data.scene import Scene
+from contactgraph.data.schema import Field, changed
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
@@ -155,32 +155,17 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
         raise InvalidInputError(
             f"every must be 1 to {trajectory.steps}, a trajectory's steps, found {every}"
         )
-    states = slice(0, steps * every + 1, every)
 
-    def chosen(value: np.ndarray | None) -> np.ndarray | None:
-        return None if value is None else value[states]
+    def longer(field: Field, value: np.ndarray) -> np.ndarray:
+        if field.axis[0] == "T":
+            return value[: steps * every].reshape(steps, every, -1).mean(axis=1)
+        if field.axis == ("T+1", "N", "N"):
+            within = value[1 : steps * every + 1].reshape(steps, every, *value.shape[1:])
+            return np.concatenate([value[:1], within.any(axis=1)])
+        return value[: steps * every + 1 : every]
 
-    def any_within(pairs: np.ndarray | None) -> np.ndarray | None:
-        if pairs is None:
-            return None
-        within = pairs[1 : steps * every + 1].reshape(steps, every, *pairs.shape[1:])
-        return np.concatenate([pairs[:1], within.any(axis=1)])
-
-    control = trajectory.control[: steps * every]
-    return replace(
-        trajectory,
-        scene=replace(trajectory.scene, dt=every * trajectory.scene.dt),
-        position=trajectory.position[states],
-        velocity=trajectory.velocity[states],
-        control=control.reshape(steps, every, trajectory.control_size).mean(axis=1),
-        contact=any_within(trajectory.contact),
-        link_positions=chosen(trajectory.link_positions),
-        tracked=chosen(trajectory.tracked),
-        measured_at=chosen(trajectory.measured_at),
-        holding=any_within(trajectory.holding),
-        orientation=chosen(trajectory.orientation),
-        angular_velocity=chosen(trajectory.angular_velocity),
-    )
+    scene = trajectory.scene
+    return changed(trajectory, longer, scene=replace(scene, dt=every * scene.dt))
 
 
 def velocity_mismatch(trajectory: Trajectory) -> float:
@@ -254,25 +239,19 @@ def near_origin(dataset: Dataset) -> Dataset:
 
 def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
     """The same scene in coordinates about ``origin`` [D] m."""
-    moved: dict[str, Any] = {
-        name: None if (value := getattr(scene, name)) is None else value - origin
-        for name in ("anchor", "goal", "reach")
-    }
     planes = scene.planes
     if planes is not None:
         offset = planes[:, -1:] - planes[:, :-1] @ origin[:, None]
         planes = np.concatenate([planes[:, :-1], offset], axis=1)
-    return replace(scene, **moved, planes=planes)
+    return changed(scene, _about(origin), planes=planes)
+
+
+def _about(origin: np.ndarray) -> Callable[[Field, np.ndarray], np.ndarray]:
+    return lambda field, value: value - origin if field.place else value
 
 
 def _near(trajectory: Trajectory) -> Trajectory:
     origin = far_origin(trajectory.scene, trajectory.position[0])
     if origin is None:
         return trajectory
-    links = trajectory.link_positions
-    return replace(
-        trajectory,
-        scene=scene_about(trajectory.scene, origin),
-        position=trajectory.position - origin,
-        link_positions=None if links is None else links - origin,
-    )
+    return changed(trajectory, _about(origin), scene=scene_about(trajectory.scene, origin))

@@ -12,6 +12,7 @@ import numpy as np
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
+from contactgraph.data.schema import changed
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edge_inference import TransitionEdges
@@ -101,27 +102,24 @@ def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) 
 
 
 def _trajectory(each: Trajectory, units: Units) -> Trajectory:
-    lengths: dict[str, Any] = {
-        name: None if getattr(each, name) is None else getattr(each, name) / units.length
-        for name in ("position", "velocity", "link_positions")
-    }
-    control = each.control / np.array(units.control)
-    scene = _scene(each.scene, units.length)
-    return dataclasses.replace(each, scene=scene, control=control, **lengths)
+    return changed(
+        each,
+        lambda field, value: value / units.length if field.of_length else value,
+        control=each.control / np.array(units.control),
+        scene=_scene(each.scene, units.length),
+    )
 
 
 def _scene(scene: Scene, length: float) -> Scene:
-    given: dict[str, Any] = {
-        name: getattr(scene, name) / length
-        for name in ("anchor", "goal", "gravity", "radius", "size", "reach", "pin_points")
-        if getattr(scene, name) is not None
-    }
-    if scene.planes is not None:
-        given["planes"] = scene.planes / np.append(np.ones(scene.dimension), length)
-    if scene.polygons is not None:
-        given["polygons"] = tuple(each / length for each in scene.polygons)
-    metadata = dict(scene.metadata)
+    planes, metadata = scene.planes, dict(scene.metadata)
+    if planes is not None:
+        planes = planes / np.append(np.ones(scene.dimension), length)
     distance = metadata.get("contact_distance")
     if isinstance(distance, int | float):
         metadata["contact_distance"] = distance / length
-    return dataclasses.replace(scene, metadata=metadata, **given)
+    return changed(
+        scene,
+        lambda field, value: value / length if field.of_length else value,
+        planes=planes,
+        metadata=metadata,
+    )
