@@ -31,43 +31,20 @@ _STANDS = 0.01
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The fastest motions of the nodes of one name in all trajectories, from pose to pose."""
+    """The motion of the nodes of one name in all trajectories, from pose to pose."""
 
     name: str
-    speed: float
-    """m/s."""
-    turn_rate: float | None
-    """rad/s. None: no orientation is known."""
-    step: float
-    """m: the largest step."""
-    trajectory: int
-    """In which that is."""
-    time: float
-    """s, at its end."""
+    text: str
+    """One line: the fastest motions, the largest step, and the share of states not measured."""
     jumps: int
     """Steps of more than ten times those before and after, and the median of moving ones."""
     turn_jumps: int
     """The same of turns."""
-    pattern: str
-    """What rows that are no measurements each look like; empty: nothing."""
-    turn: float
-    """rad: the median of the steps in which the body turns; 0: it does not."""
-    rate_error: float
-    """Of the recorded turn rates, summed over time, relative to the turns between poses."""
-    larger: float
-    """Largest distance from the origin, relative to that in the median trajectory."""
-    drift: float
-    """Largest distance from the first position of a static node, relative to the extent of all."""
-    unmeasured: float
-    """Share of states in which the body was not tracked."""
+    signs: tuple[str, ...]
+    """A line for each other sign that the body cannot have moved so."""
 
     def __str__(self) -> str:
-        turning = "" if self.turn_rate is None else f" and {self.turn_rate:.3g} rad/s"
-        lost = f"; not measured in {100 * self.unmeasured:.0f} %" if self.unmeasured else ""
-        return (
-            f"{self.name}: at most {self.speed:.3g} m/s{turning}; largest step "
-            f"{100 * self.step:.3g} cm, to {self.time:.3g} s of trajectory {self.trajectory}{lost}"
-        )
+        return self.text
 
 
 def body_motions(dataset: Dataset) -> list[BodyMotion]:
@@ -79,90 +56,80 @@ def body_motions(dataset: Dataset) -> list[BodyMotion]:
 def motion_warnings(motions: list[BodyMotion], hint: str = "") -> list[str]:
     """A line for each sign that bodies cannot have moved so; ``hint`` is for those that jump."""
     found = []
-    jumping = {"positions": "jumps", "turns": "turn_jumps"}
-    for what, name in jumping.items():
-        those = [
-            f"{each.name} {getattr(each, name)} times" for each in motions if getattr(each, name)
-        ]
+    for what, name in {"positions": "jumps", "turns": "turn_jumps"}.items():
+        counts = {each.name: getattr(each, name) for each in motions}
+        those = [f"{body} {count} times" for body, count in counts.items() if count]
         if those:
             found.append(
                 f"{what} jump: {', '.join(those)}, in one step by more than {_ISOLATED:g} times "
                 f"those before and after; are these measurements?{hint}"
             )
-    for each in motions:
-        signs = {
-            f"positions of {each.name} {each.pattern}": each.pattern,
-            f"{each.name} turns by {each.turn:.3g} rad in a step and more: angles in degrees, or "
-            "flips?": each.turn > _COARSE,
-            f"turn rates contradict orientations: those of {each.name} are off by "
-            f"{each.rate_error:.3g} of the turns; check unit and frame": (
-                each.rate_error > _OTHER_RATE
-            ),
-            f"{each.name} moves at {each.speed:.3g} m/s; check scale and dt": each.speed > _FAST,
-            f"{each.name} is {each.larger:.3g} times as far from the origin as usual in one "
-            "trajectory: another unit?": each.larger > _LARGER,
-            f"{each.name} is static, but moves: is it?": each.drift > _STANDS,
-        }
-        found += [sign for sign, there in signs.items() if there]
-    return found
+    return found + [sign for each in motions for sign in each.signs]
 
 
 def _motion(dataset: Dataset, name: str) -> BodyMotion:
-    fastest, rate, largest, jumps = 0.0, [], (0.0, 0, 0.0), 0
-    turn_jumps, turned, off, drift = 0, 0.0, 0.0, 0.0
-    pattern, turns, tracked = "", list[np.ndarray](), list[np.ndarray]()
-    places: list[float] = []
-    for index, each in enumerate(dataset):
-        if name not in each.scene.node_name:
+    dt, tiny = dataset.dt, np.finfo(float).tiny
+    runs = [
+        (index, each, each.scene.node_name.index(name))
+        for index, each in enumerate(dataset)
+        if name in each.scene.node_name
+    ]
+    places = [each.position[:, node] for _, each, node in runs]
+    steps = [np.linalg.norm(np.diff(place, axis=0), axis=1) for place in places]
+    largest, index, time = max(
+        (float(moved.max()), index, dt * (int(moved.argmax()) + 1))
+        for moved, (index, _, _) in zip(steps, runs, strict=True)
+    )
+    pattern = next(filter(None, map(_pattern, places, steps)), "")
+    distances = [float(np.abs(place).max()) for place in places]
+    farther = max(distances) / max(float(np.median(distances)), tiny)
+    turns, turned, off = [np.zeros(0)], 0.0, 0.0
+    for _, each, node in runs:
+        if each.orientation is None:
             continue
-        node, dt = each.scene.node_name.index(name), each.scene.dt
-        steps = np.linalg.norm(np.diff(each.position[:, node], axis=0), axis=1)
-        at = int(steps.argmax())
-        largest = max(largest, (float(steps[at]), index, dt * (at + 1)))
-        fastest = max(fastest, float(steps[at]) / dt)
-        jumps += _jumps(steps)
-        places.append(float(np.abs(each.position[:, node]).max()))
-        pattern = pattern or _pattern(each.position[:, node], steps)
-        if each.orientation is not None:
-            turn = each.orientation[:, node]
-            turn = turn if turn.shape[1] == 1 else rotation_vectors(turn)
-            between = turn_between(turn[:-1], turn[1:])
-            rate += [float(np.nanmax(between)) / dt] if np.isfinite(between).any() else []
-            turn_jumps += _jumps(np.nan_to_num(between))
-            turns.append(between[between > _TURNING])
-            if each.angular_velocity is not None:
-                both = np.isfinite(between) & np.isfinite(each.angular_velocity[1:, node, 0])
-                poses = each.orientation[:, node]
-                rates = angular_velocity(poses[:-1][both], poses[1:][both], dt)
-                apart = rates - each.angular_velocity[1:, node][both]
-                turned += dt * float(np.linalg.norm(rates, axis=-1).sum())
-                off += dt * float(np.linalg.norm(apart, axis=-1).sum())
-        if each.scene.static is not None and each.scene.static[node]:
-            away = np.linalg.norm(each.position[:, node] - each.position[0, node], axis=1).max()
-            extent = np.linalg.norm(np.ptp(each.position, axis=(0, 1)))
-            drift = max(drift, float(away / max(extent, np.finfo(float).tiny)))
-        if each.tracked is not None:
-            tracked.append(each.tracked[:, node])
-    lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
+        poses = each.orientation[:, node]
+        turn = poses if poses.shape[1] == 1 else rotation_vectors(poses)
+        turns.append(turn_between(turn[:-1], turn[1:]))
+        if each.angular_velocity is not None:
+            recorded = each.angular_velocity[1:, node]
+            both = np.isfinite(turns[-1]) & np.isfinite(recorded[:, 0])
+            rates = angular_velocity(poses[:-1][both], poses[1:][both], dt)
+            turned += dt * float(np.linalg.norm(rates, axis=-1).sum())
+            off += dt * float(np.linalg.norm(rates - recorded[both], axis=-1).sum())
+    known = np.concatenate(turns)[np.isfinite(np.concatenate(turns))]
+    turning = known[known > _TURNING]
+    usual = float(np.median(turning)) if len(turning) else 0.0
     error = off / max(turned, _TURNS) if max(off, turned) > _TURNS else 0.0
-    larger = max(places) / max(float(np.median(places)), np.finfo(float).tiny)
-    top = max(rate, default=None)
-    usual = float(np.median(np.concatenate(turns))) if any(map(len, turns)) else 0.0
+    drift = max(
+        float(np.linalg.norm(place - place[0], axis=1).max())
+        / max(float(np.linalg.norm(np.ptp(each.position, axis=(0, 1)))), tiny)
+        if each.scene.static is not None and each.scene.static[node]
+        else 0.0
+        for place, (_, each, node) in zip(places, runs, strict=True)
+    )
+    tracked = [each.tracked[:, node] for _, each, node in runs if each.tracked is not None]
+    lost = 1.0 - float(np.concatenate(tracked).mean()) if tracked else 0.0
+    rate = f" and {known.max() / dt:.3g} rad/s" if len(known) else ""
+    unmeasured = f"; not measured in {100 * lost:.0f} %" if lost else ""
+    signs = {
+        f"positions of {name} {pattern}": bool(pattern),
+        f"{name} turns by {usual:.3g} rad in a step and more: angles in degrees, or flips?": (
+            usual > _COARSE
+        ),
+        f"turn rates contradict orientations: those of {name} are off by {error:.3g} of the "
+        "turns; check unit and frame": error > _OTHER_RATE,
+        f"{name} moves at {largest / dt:.3g} m/s; check scale and dt": largest / dt > _FAST,
+        f"{name} is {farther:.3g} times as far from the origin as usual in one trajectory: "
+        "another unit?": farther > _LARGER,
+        f"{name} is static, but moves: is it?": drift > _STANDS,
+    }
     return BodyMotion(
-        *(
-            name,
-            fastest,
-            top,
-            *largest,
-            jumps,
-            turn_jumps,
-            pattern,
-            usual,
-            error,
-            larger,
-            drift,
-            lost,
-        )
+        name=name,
+        text=f"{name}: at most {largest / dt:.3g} m/s{rate}; largest step {100 * largest:.3g} cm, "
+        f"to {time:.3g} s of trajectory {index}{unmeasured}",
+        jumps=sum(map(_jumps, steps)),
+        turn_jumps=sum(_jumps(np.nan_to_num(each)) for each in turns),
+        signs=tuple(sign for sign, there in signs.items() if there),
     )
 
 
