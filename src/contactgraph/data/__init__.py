@@ -6,8 +6,6 @@ from contactgraph.data.dataset import Metadata as Metadata
 from contactgraph.data.dataset import split_by_trajectory as split_by_trajectory
 from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.dataset import subsample as subsample
-from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
-from contactgraph.data.dataset import velocity_warning as velocity_warning
 from contactgraph.data.dataset import with_edge_labels as with_edge_labels
 from contactgraph.data.dataset import without_turns as without_turns
 from contactgraph.data.dataset_file import read_trajectories as read_trajectories
@@ -18,6 +16,8 @@ from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_count as pair_count
 from contactgraph.data.graph import pair_indices as pair_indices
+from contactgraph.data.motion import velocity_mismatch as velocity_mismatch
+from contactgraph.data.motion import velocity_warning as velocity_warning
 from contactgraph.data.scene import CONTROL_KINDS as CONTROL_KINDS
 from contactgraph.data.scene import Scene as Scene
 from contactgraph.data.trajectory import Trajectory as Trajectory

@@ -13,15 +13,10 @@ from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 
-_MISMATCH_STEPS = 10
 _FAR = 50.0
 """m, of a coordinate, from which on the errors of 32 bits, 4 um and more, would show."""
-_MISMATCH_LIMIT = 0.1
 _HEAVIER = 1.02
 """Ratio of the masses of one type from which they differ."""
-_AT_REST = 1e-4
-"""Displacement up to which a body rests, as a share of the extent of all positions: contacts that
-bear a body move it by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,46 +161,6 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
 
     scene = trajectory.scene
     return changed(trajectory, longer, scene=replace(scene, dt=every * scene.dt))
-
-
-def velocity_mismatch(trajectory: Trajectory) -> float:
-    """Share of the motion in which velocities and positions disagree; 0 where nothing moves, but
-    for less than a ten-thousandth of the extent of all positions.
-
-    The displacement over every 10 steps is compared with the integral of the velocities by the
-    trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
-    differences are: the sum of the differences' norms over the larger of the two sums of norms.
-    Wrong units or a wrong time step give values near 1; impacts and noise of single positions
-    hardly count.
-    """
-    velocity, dt = trajectory.velocity, trajectory.scene.dt
-    paths = (0.5 * dt * (velocity[1:] + velocity[:-1]), dt * velocity[1:])
-    return min(_mismatch(trajectory.position, path) for path in paths)
-
-
-def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
-    steps = min(_MISMATCH_STEPS, len(displacement))
-    moved = position[steps:] - position[:-steps]
-    path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
-    integral = path[steps:] - path[:-steps]
-    norms = [np.linalg.norm(each, axis=-1) for each in (moved, integral, moved - integral)]
-    size = np.linalg.norm(np.ptp(position, axis=(0, 1)))
-    moves = np.maximum(norms[0], norms[1]) > _AT_REST * size
-    *totals, difference = (float(norm[moves].sum()) for norm in norms)
-    return difference / max(totals) if max(totals) > 0.0 else 0.0
-
-
-def velocity_warning(dataset: Dataset) -> str | None:
-    """One line where velocities contradict positions by more than a tenth in some trajectory."""
-    mismatch = np.array([velocity_mismatch(each) for each in dataset])
-    wrong = np.flatnonzero(mismatch > _MISMATCH_LIMIT)
-    if not len(wrong):
-        return None
-    worst = int(mismatch.argmax())
-    return (
-        f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
-        f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
-    )
 
 
 def masses_vary(dataset: Dataset) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data.dataset import Dataset
+from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.turns import angular_velocity, rotation_vectors, turn_between
 
 _ISOLATED = 10.0
@@ -27,6 +28,11 @@ _TURNS = 0.5
 """rad: the least sum of turns that is compared."""
 _STANDS = 0.01
 """Of the extent of all positions, up to which a static body's are noise."""
+_MISMATCH_STEPS = 10
+_MISMATCH_LIMIT = 0.1
+_AT_REST = 1e-4
+"""Displacement up to which a body rests, as a share of the extent of all positions: contacts that
+bear a body move it by rounding."""
 
 
 @dataclass(frozen=True)
@@ -156,3 +162,43 @@ def _jumps(steps: np.ndarray) -> int:
     beside = np.pad(steps, 1, constant_values=0.0)
     limit = np.maximum(np.maximum(beside[:-2], beside[2:]), np.median(moving) if len(moving) else 0)
     return int(np.sum(steps > _ISOLATED * limit)) if len(moving) > 2 else 0
+
+
+def velocity_mismatch(trajectory: Trajectory) -> float:
+    """Share of the motion in which velocities and positions disagree; 0 where nothing moves, but
+    for less than a ten-thousandth of the extent of all positions.
+
+    The displacement over every 10 steps is compared with the integral of the velocities by the
+    trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
+    differences are: the sum of the differences' norms over the larger of the two sums of norms.
+    Wrong units or a wrong time step give values near 1; impacts and noise of single positions
+    hardly count.
+    """
+    velocity, dt = trajectory.velocity, trajectory.scene.dt
+    paths = (0.5 * dt * (velocity[1:] + velocity[:-1]), dt * velocity[1:])
+    return min(_mismatch(trajectory.position, path) for path in paths)
+
+
+def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
+    steps = min(_MISMATCH_STEPS, len(displacement))
+    moved = position[steps:] - position[:-steps]
+    path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
+    integral = path[steps:] - path[:-steps]
+    norms = [np.linalg.norm(each, axis=-1) for each in (moved, integral, moved - integral)]
+    size = np.linalg.norm(np.ptp(position, axis=(0, 1)))
+    moves = np.maximum(norms[0], norms[1]) > _AT_REST * size
+    *totals, difference = (float(norm[moves].sum()) for norm in norms)
+    return difference / max(totals) if max(totals) > 0.0 else 0.0
+
+
+def velocity_warning(dataset: Dataset) -> str | None:
+    """One line where velocities contradict positions by more than a tenth in some trajectory."""
+    mismatch = np.array([velocity_mismatch(each) for each in dataset])
+    wrong = np.flatnonzero(mismatch > _MISMATCH_LIMIT)
+    if not len(wrong):
+        return None
+    worst = int(mismatch.argmax())
+    return (
+        f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
+        f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
+    )

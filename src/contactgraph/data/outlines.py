@@ -1,6 +1,5 @@
 """Outlines of recorded bodies: convex polygons in the plane, convex hulls of points in space."""
 
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -104,8 +103,3 @@ def signed_area(outline: np.ndarray) -> float:
     """m^2, of an outline [V, 2] m; positive where it runs counter-clockwise."""
     following = np.roll(outline, -1, axis=0)
     return float(0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
-
-
-def rows_of(polygons: Iterable[np.ndarray] | None) -> list[np.ndarray]:
-    """[V, 2] m: their corners in the plane; [V, 5, 3] m: the `hull_rows` in space."""
-    return [each if each.shape[1] == 2 else hull_rows(each) for each in polygons or ()]

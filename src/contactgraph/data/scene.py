@@ -162,11 +162,6 @@ class Scene:
         return self.gravity is not None and bool(np.any(self.gravity != 0.0))
 
     @property
-    def has_reach(self) -> bool:
-        """Whether the reach of some node is bounded."""
-        return self.reach is not None and bool(np.any(np.isfinite(self.reach)))
-
-    @property
     def has_hinges(self) -> bool:
         """Whether some node hangs on a hinge."""
         return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))

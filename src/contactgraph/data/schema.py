@@ -130,7 +130,7 @@ class Field:
         """
         if self.kind is str:
             texts = tuple(map(str, value))
-            self.check_shape(name, (len(texts),), sizes)
+            self._check_shape(name, (len(texts),), sizes)
             return texts
         if self.is_tuple:
             first, *others = self.axis
@@ -144,12 +144,11 @@ class Field:
         if self.kind is int and not np.all(np.isfinite(given) & (given == np.rint(given))):
             raise InvalidInputError(f"{name} must be integers, found {given.dtype}")
         found: np.ndarray = given.astype(self.kind, copy=False)
-        self.check_shape(name, found.shape, sizes)
+        self._check_shape(name, found.shape, sizes)
         self._check_values(name, found, node_name)
         return found
 
-    def check_shape(self, name: str, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
-        """Raises `InvalidInputError` where a shape does not agree with ``sizes``, see `checked`."""
+    def _check_shape(self, name: str, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
         wanted = [_size(axis, sizes) for axis in self.axis]
         least = {"T": 1, "L": 2, "V": sizes["D"] + 1}
         least = {

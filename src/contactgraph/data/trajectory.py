@@ -13,7 +13,6 @@ from contactgraph.data.schema import (
     TURNS_OR_NONE,
     Field,
     check_fields,
-    fields_of,
 )
 from contactgraph.data.turns import continued_angles, rotation_vectors, turned_by
 
@@ -62,10 +61,7 @@ class Trajectory:
         scene = self.scene
         sizes = {"N": scene.node_count, "D": scene.dimension}
         check_fields(self, sizes, scene.node_name)
-        for name in ("control_kind", "control_of"):
-            value = getattr(scene, name)
-            if value is not None:
-                fields_of(Scene)[name].check_shape(name, np.shape(value), sizes)
+        check_fields(scene, sizes, scene.node_name)  # now that U is known
         if self.contact is not None and self.holding is not None:
             for step, first, second in np.argwhere(self.holding & ~self.contact):
                 names = scene.node_name
@@ -87,18 +83,17 @@ class Trajectory:
 
         They are not turned where the orientation is not known.
         """
-        turned, outlines = self.orientation, self.scene.outlines_of(node)
-        if self.scene.dimension == 3:
-            turn = np.zeros((len(self.position), 1, 3))
-            if turned is not None:
-                turn[:, 0] = np.nan_to_num(rotation_vectors(turned[:, node]))
-            return [self.position[:, node, None] + turned_by(turn, each) for each in outlines]
-        angle = (
-            np.zeros(len(self.position)) if turned is None else np.nan_to_num(turned[:, node, 0])
-        )
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
-        return [self.position[:, node, None] + outline @ turn for outline in outlines]
+        dimension = self.scene.dimension
+        turn = np.zeros((len(self.position), 1, 3))
+        if self.orientation is not None:
+            known = self.orientation[:, node]
+            vectors = known * [0.0, 0.0, 1.0] if dimension == 2 else rotation_vectors(known)
+            turn[:, 0] = np.nan_to_num(vectors)
+        return [
+            self.position[:, node, None]
+            + turned_by(turn, np.pad(outline, ((0, 0), (0, 3 - dimension))))[..., :dimension]
+            for outline in self.scene.outlines_of(node)
+        ]
 
     def _continue_angles(self, angle: np.ndarray) -> None:
         """Continues the angles of nodes that all lie within one turn, as those of an arctangent."""

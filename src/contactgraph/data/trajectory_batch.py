@@ -11,7 +11,7 @@ import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
-from contactgraph.data.outlines import rows_of
+from contactgraph.data.outlines import hull_rows
 from contactgraph.data.scene import Scene
 from contactgraph.data.schema import Field, fields_of
 from contactgraph.data.trajectory import Trajectory
@@ -206,7 +206,9 @@ def node_properties(scene: Scene) -> dict[str, np.ndarray]:
 
 def _outlines(scene: Scene) -> np.ndarray | None:
     """[N, Q, V, …] m: see `Nodes.outlines`."""
-    of_node = [rows_of(scene.outlines_of(node)) for node in range(scene.node_count)]
+    of_node = [scene.outlines_of(node) for node in range(scene.node_count)]
+    if scene.dimension == 3:
+        of_node = [list(map(hull_rows, each)) for each in of_node]
     every = [rows for each in of_node for rows in each]
     if not every:
         return None
