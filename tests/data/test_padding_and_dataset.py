@@ -14,9 +14,8 @@ from contactgraph.data import (
     pair_indices,
     split_by_trajectory,
     strip_contacts,
-    velocity_mismatch,
-    velocity_warning,
 )
+from contactgraph.interchange import velocity_mismatch, velocity_warning
 
 
 def random_run(seed: int, steps: int, nodes: int, **changes: object) -> Trajectory:

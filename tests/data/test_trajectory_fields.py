@@ -119,7 +119,7 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
         ),
         (
             {"dimension": 3, "polygons": [[[0, 0], [1, 0], [0, 1]]], "polygon_of": [0]},
-            "polygons[0] must have shape (V, D) = (V, 3) with V >= 4, found (3, 2)",
+            "polygons[0] must have shape (V, D) = (V, 3) with V >= 3, found (3, 2)",
         ),
         (
             {"dimension": 3, "polygons": [np.eye(4, 3)[[0, 1, 3, 3]]], "polygon_of": [0]},

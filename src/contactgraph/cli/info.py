@@ -156,7 +156,7 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 def _print_dataset(path: Path) -> None:
     from contactgraph.data import read_trajectories
-    from contactgraph.data.motion import body_motions, motion_warnings
+    from contactgraph.interchange.motion import body_motions, motion_warnings
 
     dataset = read_trajectories(path)
     scenes = [each.scene for each in dataset]

@@ -16,8 +16,6 @@ from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_count as pair_count
 from contactgraph.data.graph import pair_indices as pair_indices
-from contactgraph.data.motion import velocity_mismatch as velocity_mismatch
-from contactgraph.data.motion import velocity_warning as velocity_warning
 from contactgraph.data.scene import CONTROL_KINDS as CONTROL_KINDS
 from contactgraph.data.scene import Scene as Scene
 from contactgraph.data.trajectory import Trajectory as Trajectory

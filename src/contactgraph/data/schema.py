@@ -18,6 +18,8 @@ Owner = TypeVar("Owner")
 
 _ROWS = {"N": "for", "T": "at step", "T+1": "at step", **dict.fromkeys("EJLPQ", "in row")}
 """Axes along which values do not form a vector, and how an error names an index of them."""
+_LEAST = {"T": 1, "L": 2, "V": 3}
+"""The least sizes of axes."""
 _TOLERANCE, _LOOSE_TOLERANCE = 1e-6, 1e-3
 """Largest error of the length of a plane's normal, and of a quaternion, which leaves room for
 16-bit floats."""
@@ -150,25 +152,19 @@ class Field:
 
     def _check_shape(self, name: str, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
         wanted = [_size(axis, sizes) for axis in self.axis]
-        least = {"T": 1, "L": 2, "V": sizes["D"] + 1}
-        least = {
-            axis[0]: least[axis[0]]
-            for axis, size in zip(self.axis, wanted, strict=True)
-            if size is None and axis[0] in least
-        }
+        least = {letter: size for letter, size in _LEAST.items() if letter not in sizes}
         fits = len(shape) == len(wanted)
         for axis, size, found in zip(self.axis, wanted, shape, strict=False):
-            if size is None:
-                sizes[axis[0]] = size = found - axis.endswith("+1")
-                fits &= size >= least.get(axis[0], 0)
-            else:
-                fits &= size == found
+            sizes.setdefault(axis[0], found - axis.endswith("+1"))
+            fits &= size in (None, found) and sizes[axis[0]] >= least.get(axis[0], 0)
         if not fits:
             numbers = _times(
                 axis if size is None else size for axis, size in zip(self.axis, wanted, strict=True)
             )
             equal = "" if numbers == self.shape else f" = {numbers}"
-            limits = "".join(f" with {letter} >= {size}" for letter, size in least.items())
+            limits = "".join(
+                f" with {each} >= {least[each]}" for each in least if each in self.axes
+            )
             raise InvalidInputError(
                 f"{name} must have shape {self.shape}{equal}{limits}, found {shape}"
             )
