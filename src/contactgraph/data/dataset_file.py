@@ -1,6 +1,5 @@
 """Dataset files: HDF5 in the layout of docs/file-format.md."""
 
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
@@ -10,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from contactgraph.data.atomic_file import atomic_write
+from contactgraph.data.atomic_file import atomic_write, check_readable
 from contactgraph.data.dataset import Dataset, Metadata
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
@@ -160,12 +159,7 @@ def read_trajectories(path: str | Path) -> Dataset:
     `InvalidInputError` naming file, trajectory and field where anything is wrong.
     """
     path = Path(path)
-    if not path.exists():
-        raise InvalidInputError(f"{path}: does not exist")
-    if not path.is_file():
-        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
-    if not os.access(path, os.R_OK):
-        raise InvalidInputError(f"{path}: may not be read by this user")
+    check_readable(path)
     expected = "a dataset in HDF5 (docs/file-format.md), found something else or a damaged file"
     with opened(path, expected) as root:
         if "format" not in root.group.attrs or root.attribute("format") != FORMAT:

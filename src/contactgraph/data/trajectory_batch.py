@@ -262,13 +262,12 @@ def pad_nodes(
         field = PROPERTIES[name]
         if field.axis[0] == "N":
             shape = (capacity, *shape[1:])
-        padded[name] = np.full(shape, field.padding, field.kind)
-        if name in given:
-            value = given[name]
-            if "V" in field.axis:  # Repeated corners and polygons change no outline.
-                more = [(0, size - own) for size, own in zip(shape, value.shape, strict=True)]
-                value = np.pad(value, [(0, 0), *more[1:]], mode="edge")
-            padded[name][tuple(map(slice, value.shape))] = value
+        value = given.get(name, np.empty((0, *shape[1:])))
+        more = [(0, size - own) for size, own in zip(shape, value.shape, strict=True)]
+        if "V" in field.axis:  # Repeated corners and polygons change no outline.
+            value = np.pad(value, [(0, 0), *more[1:]], mode="edge")
+            more[1:] = [(0, 0)] * len(more[1:])
+        padded[name] = np.pad(value.astype(field.kind), more, constant_values=field.padding)
     return Nodes(
         mask=np.arange(capacity) < count, candidate=candidate_pairs(scene, capacity), **padded
     )
