@@ -139,6 +139,12 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
             "pins must be integers, found float64",
         ),
         ({"dimension": 3, "planes": [[0, 1, 0]]}, "planes must have shape (P, D+1) = (P, 4)"),
+        (
+            {"anchor": [[0, 0], [0, np.nan], [0, 0]]},
+            "anchor must be finite, or NaN throughout where it is not known, found [0.0, nan] for "
+            "'box'",
+        ),
+        ({"candidate_edges": [[0, 1.5]]}, "candidate_edges must be integers, found float64"),
     ],
 )
 def test_what_a_scene_refuses(fields: dict[str, Any], message: str) -> None:

@@ -54,6 +54,10 @@ class Dataset:
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.trajectories)
 
+    def map(self, change: Callable[[Trajectory], Trajectory]) -> "Dataset":
+        """The dataset with ``change`` of each of its trajectories."""
+        return replace(self, trajectories=tuple(map(change, self)))
+
     @property
     def dimension(self) -> int:
         """D, degrees of freedom a node."""
@@ -104,8 +108,7 @@ def split_by_trajectory(
 
 def strip_contacts(dataset: Dataset) -> Dataset:
     """The same trajectories without contact labels, as recorded without contact sensors."""
-    stripped = tuple(replace(each, contact=None, holding=None) for each in dataset)
-    return replace(dataset, trajectories=stripped)
+    return dataset.map(lambda each: replace(each, contact=None, holding=None))
 
 
 def with_edge_labels(dataset: Dataset) -> Dataset:
@@ -117,7 +120,17 @@ def with_edge_labels(dataset: Dataset) -> Dataset:
     holding = [each.holding for each in dataset]
     if any(each is None for each in holding) or not any(np.any(each) for each in holding):
         return dataset
-    return replace(dataset, trajectories=tuple(replace(e, contact=e.holding) for e in dataset))
+    return dataset.map(lambda each: replace(each, contact=each.holding))
+
+
+def without_turns(dataset: Dataset) -> Dataset:
+    """The same trajectories without orientations, angular velocities, outlines and pins."""
+
+    def stripped(each: Trajectory) -> Trajectory:
+        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
+        return replace(each, scene=scene, orientation=None, angular_velocity=None)
+
+    return dataset.map(stripped)
 
 
 def subsample(dataset: Dataset, every: int) -> Dataset:
@@ -129,19 +142,7 @@ def subsample(dataset: Dataset, every: int) -> Dataset:
     """
     if every < 1:
         raise InvalidInputError(f"every must be at least 1, found {every}")
-    if every == 1:
-        return dataset
-    return replace(dataset, trajectories=tuple(_subsampled(each, every) for each in dataset))
-
-
-def without_turns(dataset: Dataset) -> Dataset:
-    """The same trajectories without orientations, angular velocities, outlines and pins."""
-
-    def stripped(each: Trajectory) -> Trajectory:
-        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
-        return replace(each, scene=scene, orientation=None, angular_velocity=None)
-
-    return replace(dataset, trajectories=tuple(map(stripped, dataset)))
+    return dataset if every == 1 else dataset.map(lambda each: _subsampled(each, every))
 
 
 def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
@@ -152,12 +153,12 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
         )
 
     def longer(field: Field, value: np.ndarray) -> np.ndarray:
+        first = 0 if field.axis[0] == "T" else 1  # A step leads to the state after it.
+        within = value[first : steps * every + first].reshape(steps, every, *value.shape[1:])
         if field.axis[0] == "T":
-            return value[: steps * every].reshape(steps, every, -1).mean(axis=1)
-        if field.axis == ("T+1", "N", "N"):
-            within = value[1 : steps * every + 1].reshape(steps, every, *value.shape[1:])
-            return np.concatenate([value[:1], within.any(axis=1)])
-        return value[: steps * every + 1 : every]
+            return within.mean(axis=1)
+        pairs = field.axis[1:] == ("N", "N")
+        return np.concatenate([value[:1], within.any(axis=1) if pairs else within[:, -1]])
 
     scene = trajectory.scene
     return changed(trajectory, longer, scene=replace(scene, dt=every * scene.dt))
@@ -187,9 +188,14 @@ def far_origin(scene: Scene, position: np.ndarray) -> np.ndarray | None:
 
 def near_origin(dataset: Dataset) -> Dataset:
     """The same trajectories, each about a point near its first state if that is far away."""
-    near = tuple(map(_near, dataset))
-    unmoved = all(moved is given for moved, given in zip(near, dataset, strict=True))
-    return dataset if unmoved else replace(dataset, trajectories=near)
+
+    def near(each: Trajectory) -> Trajectory:
+        origin = far_origin(each.scene, each.position[0])
+        if origin is None:
+            return each
+        return changed(each, _about(origin), scene=scene_about(each.scene, origin))
+
+    return dataset.map(near)
 
 
 def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
@@ -203,10 +209,3 @@ def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
 
 def _about(origin: np.ndarray) -> Callable[[Field, np.ndarray], np.ndarray]:
     return lambda field, value: value - origin if field.place else value
-
-
-def _near(trajectory: Trajectory) -> Trajectory:
-    origin = far_origin(trajectory.scene, trajectory.position[0])
-    if origin is None:
-        return trajectory
-    return changed(trajectory, _about(origin), scene=scene_about(trajectory.scene, origin))

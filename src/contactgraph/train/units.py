@@ -1,6 +1,5 @@
 """Units of training, so that those of the data do not matter; the trained model in the data's."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,8 +59,7 @@ def typical_distance(dataset: Dataset) -> float:
 
 def in_units(dataset: Dataset, units: Units) -> Dataset:
     """The same trajectories, in these units."""
-    every = tuple(_trajectory(each, units) for each in dataset)
-    return dataclasses.replace(dataset, trajectories=every)
+    return dataset.map(lambda each: _trajectory(each, units))
 
 
 def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) -> ContactDynamics:
