@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import h5py
 import hypothesis.extra.numpy as hnp
@@ -24,9 +25,7 @@ from contactgraph.data import (
     write_trajectories,
 )
 from contactgraph.data.dataset_file import ARRAYS, REQUIRED
-
-RECORDED = ("position", "velocity", "control", "contact", "link_positions", "tracked")
-OTHERS = ("measured_at", "holding", "orientation", "angular_velocity")
+from contactgraph.data.schema import fields_of
 
 text = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=8)
 metadata = st.dictionaries(
@@ -138,25 +137,23 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in (*RECORDED, *OTHERS):
-            assert_same_array(getattr(ours, name), getattr(theirs, name))
-        for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
-            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        for name in ("static", "control_of", "planes", "reach", "polygon_of", "pins", "pin_points"):
-            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        polygons = ours.scene.polygons, theirs.scene.polygons
-        assert (polygons[0] is None) == (polygons[1] is None)
-        for pair in zip(*(each or () for each in polygons), strict=True):
-            assert_same_array(*pair)
-        for name in ("node_name", "node_type", "dt", "dimension", "metadata", "control_kind"):
-            assert getattr(ours.scene, name) == getattr(theirs.scene, name)
+        assert (ours.scene.dt, ours.scene.dimension) == (theirs.scene.dt, theirs.scene.dimension)
+        assert ours.scene.metadata == theirs.scene.metadata
+        for one, other in ((ours, theirs), (ours.scene, theirs.scene)):
+            for name in fields_of(one):
+                assert_same_field(getattr(one, name), getattr(other, name))
 
 
-def assert_same_array(found: np.ndarray | None, expected: np.ndarray | None) -> None:
-    assert (found is None) == (expected is None)
-    if found is not None:
+def assert_same_field(found: Any, expected: Any) -> None:
+    assert type(found) is type(expected)
+    if isinstance(found, np.ndarray):
         assert found.dtype == expected.dtype
         np.testing.assert_array_equal(found, expected)
+    elif isinstance(found, tuple) and found and not isinstance(found[0], str):
+        for pair in zip(found, expected, strict=True):
+            assert_same_field(*pair)
+    else:
+        assert found == expected
 
 
 def one_run(value: float = 0.0, steps: int = 5, nodes: int = 2, **scene: object) -> Trajectory:

@@ -13,6 +13,7 @@ from contactgraph.data.schema import (
     TURNS_OR_NONE,
     Field,
     check_fields,
+    fields_of,
 )
 from contactgraph.data.turns import continued_angles, rotation_vectors, turned_by
 
@@ -73,8 +74,9 @@ class Trajectory:
             self._continue_angles(self.orientation)
 
     def __repr__(self) -> str:
-        optional = ("contact", "holding", "orientation", "angular_velocity", "link_positions")
-        given = [name for name in optional if getattr(self, name) is not None]
+        always = ("position", "velocity", "control")
+        there = [name for name in fields_of(self) if getattr(self, name) is not None]
+        given = [name for name in there if name not in always]
         sizes = f"T={self.steps}, N={self.scene.node_count}, D={self.scene.dimension}"
         return f"Trajectory({', '.join([sizes, f'U={self.control_size}', *given])})"
 
