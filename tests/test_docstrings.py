@@ -11,7 +11,7 @@ MODULES = (
     "contactgraph.control.cost",
     "contactgraph.control.ilqr",
     "contactgraph.control.mpc",
-    "contactgraph.data.file_writing",
+    "contactgraph.data.dataset_file",
 )
 
 

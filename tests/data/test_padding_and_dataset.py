@@ -14,9 +14,8 @@ from contactgraph.data import (
     pair_indices,
     split_by_trajectory,
     strip_contacts,
-    velocity_mismatch,
-    velocity_warning,
 )
+from contactgraph.interchange import velocity_mismatch, velocity_warning
 
 
 def random_run(seed: int, steps: int, nodes: int, **changes: object) -> Trajectory:
@@ -106,6 +105,21 @@ def test_contacts_that_are_not_recorded_are_not_known() -> None:
     np.testing.assert_array_equal(
         pad_trajectories(unlabelled).position, pad_trajectories(RAGGED).position
     )
+
+
+def test_properties_are_those_that_any_scene_has() -> None:
+    """Where two nodes are actuated, all components act on the nodes of a scene that tells none."""
+    first, second = random_run(0, 2, 3), random_run(0, 2, 3)
+    assert first.scene.actuated.sum() > 1
+    acting = np.array([[True, False], [False, True], [False, False]])
+    told = dataclasses.replace(first.scene, control_of=acting, size=np.full((3, 2), np.nan))
+    runs = (dataclasses.replace(first, scene=told), second)
+    nodes = pad_trajectories(runs, 4).nodes
+    np.testing.assert_array_equal(nodes.control_of[0], [*acting, [False, False]])
+    np.testing.assert_array_equal(nodes.control_of[1, :3], second.scene.actuated[:, None] & [1, 1])
+    assert nodes.half_size is None and nodes.pins is None and nodes.pin_points is None
+    none = dataclasses.replace(told, pins=np.zeros((0, 2), int), pin_points=np.zeros((0, 2, 2)))
+    assert pad_trajectories((dataclasses.replace(first, scene=none),)).nodes.pin_points is None
 
 
 def test_a_capacity_that_is_too_small() -> None:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import h5py
 import hypothesis.extra.numpy as hnp
@@ -20,13 +21,11 @@ from contactgraph.data import (
     InvalidInputError,
     Scene,
     Trajectory,
-    describe_file,
     read_trajectories,
     write_trajectories,
 )
-
-RECORDED = ("position", "velocity", "control", "contact", "link_positions", "tracked")
-OTHERS = ("measured_at", "holding", "orientation", "angular_velocity")
+from contactgraph.data.dataset_file import ARRAYS, REQUIRED
+from contactgraph.data.schema import fields_of
 
 text = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=8)
 metadata = st.dictionaries(
@@ -138,25 +137,23 @@ def assert_same(found: Dataset, expected: Dataset) -> None:
     }
     assert len(found) == len(expected)
     for ours, theirs in zip(found, expected, strict=True):
-        for name in (*RECORDED, *OTHERS):
-            assert_same_array(getattr(ours, name), getattr(theirs, name))
-        for name in ("actuated", "anchor", "goal", "mass", "radius", "size", "candidate_edges"):
-            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        for name in ("static", "control_of", "planes", "reach", "polygon_of", "pins", "pin_points"):
-            assert_same_array(getattr(ours.scene, name), getattr(theirs.scene, name))
-        polygons = ours.scene.polygons, theirs.scene.polygons
-        assert (polygons[0] is None) == (polygons[1] is None)
-        for pair in zip(*(each or () for each in polygons), strict=True):
-            assert_same_array(*pair)
-        for name in ("node_name", "node_type", "dt", "dimension", "metadata", "control_kind"):
-            assert getattr(ours.scene, name) == getattr(theirs.scene, name)
+        assert (ours.scene.dt, ours.scene.dimension) == (theirs.scene.dt, theirs.scene.dimension)
+        assert ours.scene.metadata == theirs.scene.metadata
+        for one, other in ((ours, theirs), (ours.scene, theirs.scene)):
+            for name in fields_of(one):
+                assert_same_field(getattr(one, name), getattr(other, name))
 
 
-def assert_same_array(found: np.ndarray | None, expected: np.ndarray | None) -> None:
-    assert (found is None) == (expected is None)
-    if found is not None:
+def assert_same_field(found: Any, expected: Any) -> None:
+    assert type(found) is type(expected)
+    if isinstance(found, np.ndarray):
         assert found.dtype == expected.dtype
         np.testing.assert_array_equal(found, expected)
+    elif isinstance(found, tuple) and found and not isinstance(found[0], str):
+        for pair in zip(found, expected, strict=True):
+            assert_same_field(*pair)
+    else:
+        assert found == expected
 
 
 def one_run(value: float = 0.0, steps: int = 5, nodes: int = 2, **scene: object) -> Trajectory:
@@ -206,23 +203,6 @@ def test_long_metadata_and_many_chunks(tmp_path: Path) -> None:
     assert found.trajectories[0].position.shape == (400_001, 3, 2)
 
 
-def test_describe_file(tmp_path: Path) -> None:
-    path = tmp_path / "two.h5"
-    runs = [one_run(steps=3, nodes=2), one_run(steps=4, nodes=3)]
-    write_trajectories(path, runs, {"task": "push"})
-    summary = describe_file(path)
-    assert summary.format_version == 2
-    assert summary.trajectory_name == ("000000", "000001")
-    assert summary.steps == (3, 4)
-    assert summary.node_name == tuple(run.scene.node_name for run in runs)
-    assert (summary.dt, summary.dimension, summary.control_size) == ((0.05,) * 2, (2, 2), (2, 2))
-    assert summary.has_contact == summary.has_holding == (False, False)
-    assert summary.has_orientation == (False, False)
-    assert (summary.control_kind, summary.static_count) == ((None, None), (0, 0))
-    assert summary.metadata == {"task": "push"}
-    assert summary.size == path.stat().st_size
-
-
 def test_trajectories_written_by_hand_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
     write_trajectories(tmp_path / "a.h5", [one_run(float(i)) for i in range(11)])
     with h5py.File(tmp_path / "a.h5", "r+") as file:
@@ -242,7 +222,22 @@ def test_the_unit_of_a_control_is_stored_where_all_of_it_is_force(tmp_path: Path
         write_trajectories(tmp_path / "a.h5", [one_run(control_kind=kinds)])
         with h5py.File(tmp_path / "a.h5") as file:
             assert file["trajectories/000000/control"].attrs.get("unit") == unit
-        assert describe_file(tmp_path / "a.h5").control_kind == (kinds,)
+        (found,) = read_trajectories(tmp_path / "a.h5")
+        assert found.scene.control_kind == kinds
+
+
+def test_the_layout_in_the_documentation_is_the_one_of_the_code() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "file-format.md").read_text(encoding="utf-8")
+    line = re.compile(
+        r"│   ├── (\w+) +\[(.*?)\]  (?:.*?unit \"(.*?)\")?.*?(\(optional\))?$", re.MULTILINE
+    )
+    described = {
+        name: (tuple(axes.split(", ")), unit or None, not optional)
+        for name, axes, unit, optional in line.findall(page)
+    }
+    assert described == {
+        name: (field.axis, field.unit, name in REQUIRED) for name, field in ARRAYS.items()
+    }
 
 
 def test_the_examples_of_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

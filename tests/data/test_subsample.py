@@ -43,6 +43,12 @@ def test_every_fifth_state_and_the_mean_control() -> None:
     np.testing.assert_allclose(gained, longer.control * 0.005, atol=1e-12)
 
 
+def test_a_control_without_components() -> None:
+    trajectory = replace(thrown(20, 0.001), control=np.zeros((20, 0)))
+    (longer,) = subsample(Dataset((trajectory,)), 5)
+    assert longer.control.shape == (4, 0)
+
+
 def test_a_touch_between_two_states_is_one_at_the_second() -> None:
     (longer,) = subsample(Dataset((thrown(20, 0.001),)), 5)
     assert longer.contact is not None

@@ -111,16 +111,15 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
     [
         (
             {"polygons": [[[0, 0], [2, 0], [0.2, 0.2], [0, 2]]], "polygon_of": [0]},
-            "must be finite and convex, found [[0.0, 0.0], [2.0, 0.0], [0.2, 0.2], [0.0, 2.0]] in "
-            "polygon 0",
+            "polygons[0] must be convex, found [[0.0, 0.0], [2.0, 0.0], [0.2, 0.2], [0.0, 2.0]]",
         ),
         (
             {"polygons": [[[0, 0], [1, 0]]], "polygon_of": [0]},
-            "polygons must have shape (V, 2) with V >= 3, found (2, 2) in polygon 0",
+            "polygons[0] must have shape (V, D) = (V, 2) with V >= 3, found (2, 2)",
         ),
         (
             {"dimension": 3, "polygons": [[[0, 0], [1, 0], [0, 1]]], "polygon_of": [0]},
-            "polygons must have shape (V, 3) with V >= 4, found (3, 2) in polygon 0",
+            "polygons[0] must have shape (V, D) = (V, 3) with V >= 3, found (3, 2)",
         ),
         (
             {"dimension": 3, "polygons": [np.eye(4, 3)[[0, 1, 3, 3]]], "polygon_of": [0]},
@@ -134,12 +133,18 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
             {"dimension": 3, "pins": [[0, 1]], "pin_points": np.zeros((1, 2, 3))},
             "pins need a scene in the plane, found 3 dimensions",
         ),
-        ({"pins": [0, 1], "pin_points": np.zeros((2, 2))}, "pins must have shape (P, 2), found"),
+        ({"pins": [0, 1], "pin_points": np.zeros((2, 2))}, "pins must have shape (J, 2), found"),
         (
             {"pins": [[0.5, 1.0]], "pin_points": np.zeros((1, 2, 2))},
             "pins must be integers, found float64",
         ),
         ({"dimension": 3, "planes": [[0, 1, 0]]}, "planes must have shape (P, D+1) = (P, 4)"),
+        (
+            {"anchor": [[0, 0], [0, np.nan], [0, 0]]},
+            "anchor must be finite, or NaN throughout where it is not known, found [0.0, nan] for "
+            "'box'",
+        ),
+        ({"candidate_edges": [[0, 1.5]]}, "candidate_edges must be integers, found float64"),
     ],
 )
 def test_what_a_scene_refuses(fields: dict[str, Any], message: str) -> None:

@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 
 from contactgraph.cli.main import run
 from contactgraph.data import Dataset, InvalidInputError
-from contactgraph.data.motion import body_motions, motion_warnings
 from contactgraph.interchange import Column, Episode, Recording, to_trajectories
 from contactgraph.interchange.conversion import state_after
 from contactgraph.interchange.csv_table import read_csv
@@ -37,6 +36,7 @@ from contactgraph.interchange.draft import draft_map
 from contactgraph.interchange.lerobot import read_lerobot
 from contactgraph.interchange.measurements import MappedEpisode
 from contactgraph.interchange.minari import read_minari
+from contactgraph.interchange.motion import body_motions, motion_warnings
 from contactgraph.interchange.robomimic import read_robomimic
 from contactgraph.interchange.rosbag import read_rosbag
 from contactgraph.interchange.scene_map import parse_map
@@ -271,7 +271,7 @@ def test_times_in_a_unit_that_is_not_told(tmp_path: Path, unit: float, message: 
             "axis is for bodies of the plane",
         ),
         (BODY.format("[1, 1]") + "missing = 3\n", "missing is for recorded numbers"),
-        (XY + "mass = -1\n", "mass must not be negative"),
+        (XY + "mass = -1\n", "mass must be finite and not negative"),
         (
             '[[body]]\nname = "box"\n[body.keypoints]\ncolumns = ["x", "y", "x", "y"]\n',
             "'points' is missing",

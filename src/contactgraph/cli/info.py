@@ -155,26 +155,30 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 
 def _print_dataset(path: Path) -> None:
-    from contactgraph.data import describe_file, read_trajectories
-    from contactgraph.data.motion import body_motions, motion_warnings
+    from contactgraph.data import read_trajectories
+    from contactgraph.interchange.motion import body_motions, motion_warnings
 
-    summary, dataset = describe_file(path), read_trajectories(path)
-    nodes = [len(names) for names in summary.node_name]
-    print(f"{path}: dataset, {len(summary.steps)} trajectories, {summary.size} bytes")
-    kinds = " or ".join(sorted({", ".join(each) for each in summary.control_kind if each}))
-    recorded = {
-        "contacts": summary.has_contact,
-        "holding": summary.has_holding,
-        "orientation": summary.has_orientation,
-    }
+    dataset = read_trajectories(path)
+    scenes = [each.scene for each in dataset]
+    print(f"{path}: dataset, {len(dataset)} trajectories, {path.stat().st_size} bytes")
+    nodes = [scene.node_count for scene in scenes]
+    kinds = " or ".join(
+        sorted({", ".join(each.control_kind) for each in scenes if each.control_kind})
+    )
+    static = [0 if each.static is None else int(each.static.sum()) for each in scenes]
+    recorded = {"contacts": "contact", "holding": "holding", "orientation": "orientation"}
     rows = {
-        "steps": f"{_span(summary.steps)} of {summary.dt[0]} s",
-        "nodes": f"{_span(nodes)}: {', '.join(summary.node_name[0])}",
-        "control": f"{_span(summary.control_size)}{f': {kinds}' if kinds else ''}",
-        **{name: f"in {sum(has)} of {len(has)} trajectories" for name, has in recorded.items()},
-        "static": _span(summary.static_count),
+        "steps": f"{_span([each.steps for each in dataset])} of {dataset.dt} s",
+        "nodes": f"{_span(nodes)}: {', '.join(scenes[0].node_name)}",
+        "control": f"{dataset.control_size}{f': {kinds}' if kinds else ''}",
+        **{
+            label: f"in {sum(getattr(each, name) is not None for each in dataset)} of "
+            f"{len(dataset)} trajectories"
+            for label, name in recorded.items()
+        },
+        "static": _span(static),
         **_actuation(dataset),
-        **{name: _text(value) for name, value in summary.metadata.items()},
+        **{name: _text(value) for name, value in dataset.metadata.items()},
     }
     for name, text in rows.items():
         print(f"  {name:<11} {text}")

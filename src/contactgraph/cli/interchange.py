@@ -35,14 +35,19 @@ class Import:
 
         from contactgraph.cli.options import choice
         from contactgraph.cli.output import check_writable
-        from contactgraph.data import Dataset, InvalidInputError, velocity_warning
+        from contactgraph.data import Dataset, InvalidInputError
         from contactgraph.data import write_trajectories as write
-        from contactgraph.data.motion import body_motions, motion_warnings
-        from contactgraph.interchange import read_map, shipped_maps, to_trajectories
+        from contactgraph.interchange import (
+            read_map,
+            shipped_maps,
+            to_trajectories,
+            velocity_warning,
+        )
         from contactgraph.interchange.csv_table import read_csv
         from contactgraph.interchange.draft import draft_map
         from contactgraph.interchange.lerobot import read_lerobot
         from contactgraph.interchange.minari import read_minari
+        from contactgraph.interchange.motion import body_motions, motion_warnings
         from contactgraph.interchange.robomimic import read_robomimic
         from contactgraph.interchange.rosbag import read_rosbag
 

@@ -115,10 +115,10 @@ class Train:
             read_trajectories,
             split_by_trajectory,
             subsample,
-            velocity_warning,
             without_turns,
         )
         from contactgraph.identify import in_units
+        from contactgraph.interchange import velocity_warning
         from contactgraph.model import PRESETS
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model

@@ -6,15 +6,11 @@ from contactgraph.data.dataset import Metadata as Metadata
 from contactgraph.data.dataset import split_by_trajectory as split_by_trajectory
 from contactgraph.data.dataset import strip_contacts as strip_contacts
 from contactgraph.data.dataset import subsample as subsample
-from contactgraph.data.dataset import velocity_mismatch as velocity_mismatch
-from contactgraph.data.dataset import velocity_warning as velocity_warning
 from contactgraph.data.dataset import with_edge_labels as with_edge_labels
 from contactgraph.data.dataset import without_turns as without_turns
+from contactgraph.data.dataset_file import read_trajectories as read_trajectories
+from contactgraph.data.dataset_file import write_trajectories as write_trajectories
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
-from contactgraph.data.file_reading import FileSummary as FileSummary
-from contactgraph.data.file_reading import describe_file as describe_file
-from contactgraph.data.file_reading import read_trajectories as read_trajectories
-from contactgraph.data.file_writing import write_trajectories as write_trajectories
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
 from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined

@@ -1,4 +1,4 @@
-"""Atomic file writes: a reader sees the old file or the whole new one, never a part."""
+"""Files: whether one can be read, and atomic writes, of which a reader never sees a part."""
 
 import os
 import secrets
@@ -7,6 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from contactgraph.data.errors import InvalidInputError
+
+
+def check_readable(path: Path) -> None:
+    """Raises `InvalidInputError` where ``path`` is no file, or not one that this user may read."""
+    if not path.exists():
+        raise InvalidInputError(f"{path}: does not exist")
+    if not path.is_file():
+        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    if not os.access(path, os.R_OK):
+        raise InvalidInputError(f"{path}: may not be read by this user")
 
 
 @contextmanager

@@ -1,27 +1,22 @@
 """Trajectories that belong together: split for training, subsampled, checked."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import passive_nodes
 from contactgraph.data.scene import Scene
+from contactgraph.data.schema import Field, changed
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 
-_MISMATCH_STEPS = 10
 _FAR = 50.0
 """m, of a coordinate, from which on the errors of 32 bits, 4 um and more, would show."""
-_MISMATCH_LIMIT = 0.1
 _HEAVIER = 1.02
 """Ratio of the masses of one type from which they differ."""
-_AT_REST = 1e-4
-"""Displacement up to which a body rests, as a share of the extent of all positions: contacts that
-bear a body move it by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +53,10 @@ class Dataset:
 
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.trajectories)
+
+    def map(self, change: Callable[[Trajectory], Trajectory]) -> "Dataset":
+        """The dataset with ``change`` of each of its trajectories."""
+        return replace(self, trajectories=tuple(map(change, self)))
 
     @property
     def dimension(self) -> int:
@@ -109,8 +108,7 @@ def split_by_trajectory(
 
 def strip_contacts(dataset: Dataset) -> Dataset:
     """The same trajectories without contact labels, as recorded without contact sensors."""
-    stripped = tuple(replace(each, contact=None, holding=None) for each in dataset)
-    return replace(dataset, trajectories=stripped)
+    return dataset.map(lambda each: replace(each, contact=None, holding=None))
 
 
 def with_edge_labels(dataset: Dataset) -> Dataset:
@@ -122,7 +120,17 @@ def with_edge_labels(dataset: Dataset) -> Dataset:
     holding = [each.holding for each in dataset]
     if any(each is None for each in holding) or not any(np.any(each) for each in holding):
         return dataset
-    return replace(dataset, trajectories=tuple(replace(e, contact=e.holding) for e in dataset))
+    return dataset.map(lambda each: replace(each, contact=each.holding))
+
+
+def without_turns(dataset: Dataset) -> Dataset:
+    """The same trajectories without orientations, angular velocities, outlines and pins."""
+
+    def stripped(each: Trajectory) -> Trajectory:
+        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
+        return replace(each, scene=scene, orientation=None, angular_velocity=None)
+
+    return dataset.map(stripped)
 
 
 def subsample(dataset: Dataset, every: int) -> Dataset:
@@ -134,19 +142,7 @@ def subsample(dataset: Dataset, every: int) -> Dataset:
     """
     if every < 1:
         raise InvalidInputError(f"every must be at least 1, found {every}")
-    if every == 1:
-        return dataset
-    return replace(dataset, trajectories=tuple(_subsampled(each, every) for each in dataset))
-
-
-def without_turns(dataset: Dataset) -> Dataset:
-    """The same trajectories without orientations, angular velocities, outlines and pins."""
-
-    def stripped(each: Trajectory) -> Trajectory:
-        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
-        return replace(each, scene=scene, orientation=None, angular_velocity=None)
-
-    return replace(dataset, trajectories=tuple(map(stripped, dataset)))
+    return dataset if every == 1 else dataset.map(lambda each: _subsampled(each, every))
 
 
 def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
@@ -155,72 +151,17 @@ def _subsampled(trajectory: Trajectory, every: int) -> Trajectory:
         raise InvalidInputError(
             f"every must be 1 to {trajectory.steps}, a trajectory's steps, found {every}"
         )
-    states = slice(0, steps * every + 1, every)
 
-    def chosen(value: np.ndarray | None) -> np.ndarray | None:
-        return None if value is None else value[states]
+    def longer(field: Field, value: np.ndarray) -> np.ndarray:
+        first = 0 if field.axis[0] == "T" else 1  # A step leads to the state after it.
+        within = value[first : steps * every + first].reshape(steps, every, *value.shape[1:])
+        if field.axis[0] == "T":
+            return within.mean(axis=1)
+        pairs = field.axis[1:] == ("N", "N")
+        return np.concatenate([value[:1], within.any(axis=1) if pairs else within[:, -1]])
 
-    def any_within(pairs: np.ndarray | None) -> np.ndarray | None:
-        if pairs is None:
-            return None
-        within = pairs[1 : steps * every + 1].reshape(steps, every, *pairs.shape[1:])
-        return np.concatenate([pairs[:1], within.any(axis=1)])
-
-    control = trajectory.control[: steps * every]
-    return replace(
-        trajectory,
-        scene=replace(trajectory.scene, dt=every * trajectory.scene.dt),
-        position=trajectory.position[states],
-        velocity=trajectory.velocity[states],
-        control=control.reshape(steps, every, trajectory.control_size).mean(axis=1),
-        contact=any_within(trajectory.contact),
-        link_positions=chosen(trajectory.link_positions),
-        tracked=chosen(trajectory.tracked),
-        measured_at=chosen(trajectory.measured_at),
-        holding=any_within(trajectory.holding),
-        orientation=chosen(trajectory.orientation),
-        angular_velocity=chosen(trajectory.angular_velocity),
-    )
-
-
-def velocity_mismatch(trajectory: Trajectory) -> float:
-    """Share of the motion in which velocities and positions disagree; 0 where nothing moves, but
-    for less than a ten-thousandth of the extent of all positions.
-
-    The displacement over every 10 steps is compared with the integral of the velocities by the
-    trapezoid rule or, where that fits better, of those at the ends of the steps, which backward
-    differences are: the sum of the differences' norms over the larger of the two sums of norms.
-    Wrong units or a wrong time step give values near 1; impacts and noise of single positions
-    hardly count.
-    """
-    velocity, dt = trajectory.velocity, trajectory.scene.dt
-    paths = (0.5 * dt * (velocity[1:] + velocity[:-1]), dt * velocity[1:])
-    return min(_mismatch(trajectory.position, path) for path in paths)
-
-
-def _mismatch(position: np.ndarray, displacement: np.ndarray) -> float:
-    steps = min(_MISMATCH_STEPS, len(displacement))
-    moved = position[steps:] - position[:-steps]
-    path = np.concatenate([np.zeros_like(position[:1]), np.cumsum(displacement, axis=0)])
-    integral = path[steps:] - path[:-steps]
-    norms = [np.linalg.norm(each, axis=-1) for each in (moved, integral, moved - integral)]
-    size = np.linalg.norm(np.ptp(position, axis=(0, 1)))
-    moves = np.maximum(norms[0], norms[1]) > _AT_REST * size
-    *totals, difference = (float(norm[moves].sum()) for norm in norms)
-    return difference / max(totals) if max(totals) > 0.0 else 0.0
-
-
-def velocity_warning(dataset: Dataset) -> str | None:
-    """One line where velocities contradict positions by more than a tenth in some trajectory."""
-    mismatch = np.array([velocity_mismatch(each) for each in dataset])
-    wrong = np.flatnonzero(mismatch > _MISMATCH_LIMIT)
-    if not len(wrong):
-        return None
-    worst = int(mismatch.argmax())
-    return (
-        f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
-        f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
-    )
+    scene = trajectory.scene
+    return changed(trajectory, longer, scene=replace(scene, dt=every * scene.dt))
 
 
 def masses_vary(dataset: Dataset) -> bool:
@@ -247,32 +188,24 @@ def far_origin(scene: Scene, position: np.ndarray) -> np.ndarray | None:
 
 def near_origin(dataset: Dataset) -> Dataset:
     """The same trajectories, each about a point near its first state if that is far away."""
-    near = tuple(map(_near, dataset))
-    unmoved = all(moved is given for moved, given in zip(near, dataset, strict=True))
-    return dataset if unmoved else replace(dataset, trajectories=near)
+
+    def near(each: Trajectory) -> Trajectory:
+        origin = far_origin(each.scene, each.position[0])
+        if origin is None:
+            return each
+        return changed(each, _about(origin), scene=scene_about(each.scene, origin))
+
+    return dataset.map(near)
 
 
 def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
     """The same scene in coordinates about ``origin`` [D] m."""
-    moved: dict[str, Any] = {
-        name: None if (value := getattr(scene, name)) is None else value - origin
-        for name in ("anchor", "goal", "reach")
-    }
     planes = scene.planes
     if planes is not None:
         offset = planes[:, -1:] - planes[:, :-1] @ origin[:, None]
         planes = np.concatenate([planes[:, :-1], offset], axis=1)
-    return replace(scene, **moved, planes=planes)
+    return changed(scene, _about(origin), planes=planes)
 
 
-def _near(trajectory: Trajectory) -> Trajectory:
-    origin = far_origin(trajectory.scene, trajectory.position[0])
-    if origin is None:
-        return trajectory
-    links = trajectory.link_positions
-    return replace(
-        trajectory,
-        scene=scene_about(trajectory.scene, origin),
-        position=trajectory.position - origin,
-        link_positions=None if links is None else links - origin,
-    )
+def _about(origin: np.ndarray) -> Callable[[Field, np.ndarray], np.ndarray]:
+    return lambda field, value: value - origin if field.place else value

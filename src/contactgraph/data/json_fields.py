@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from contactgraph.data.atomic_file import check_readable
 from contactgraph.data.errors import InvalidInputError
 
 _LARGEST_COUNT = 2**31 - 1
@@ -149,10 +150,7 @@ def read_json_fields(
 
     Raises `InvalidInputError` unless it is JSON of this format and version, within the limit.
     """
-    if not path.exists():
-        raise InvalidInputError(f"{path}: does not exist")
-    if not path.is_file():
-        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    check_readable(path)
     if path.stat().st_size > size_limit:
         raise InvalidInputError(f"{path}: must be {what}, of at most {size_limit} bytes")
     try:

@@ -1,6 +1,5 @@
 """Outlines of recorded bodies: convex polygons in the plane, convex hulls of points in space."""
 
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -95,42 +94,13 @@ def _hull_moments(points: np.ndarray) -> tuple[float, np.ndarray]:
     return float(volume.sum()), (moment.sum() - moment) / volume.sum()
 
 
-def checked_polygons(
-    polygons: tuple[np.ndarray, ...] | None,
-    polygon_of: np.ndarray | None,
-    count: int,
-    dimension: int,
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """`Scene.polygons` and `Scene.polygon_of` as arrays; raises `InvalidInputError` where they do
-    not fit a scene of ``count`` nodes."""
-    if polygons is None or polygon_of is None:
-        raise InvalidInputError("polygons and polygon_of must be given together")
-    if dimension not in (2, 3):
-        raise InvalidInputError(f"polygons need a scene of 2 or 3 dimensions, found {dimension}")
-    checked = tuple(np.asarray(each, dtype=np.float64) for each in polygons)
-    nodes = np.asarray(polygon_of, dtype=np.int64)
-    if nodes.shape != (len(checked),):
-        raise InvalidInputError(
-            f"polygon_of must have one entry a polygon, shape ({len(checked)},), "
-            f"found {nodes.shape}"
-        )
-    if nodes.size and (nodes.min() < 0 or nodes.max() >= count):
-        raise InvalidInputError(f"polygon_of must name nodes 0 to {count - 1}")
-    for index, outline in enumerate(checked):
-        least = dimension + 1
-        if outline.ndim != 2 or outline.shape[1] != dimension or len(outline) < least:
-            raise InvalidInputError(
-                f"polygons must have shape (V, {dimension}) with V >= {least}, found "
-                f"{outline.shape} in polygon {index}"
-            )
-        finite = bool(np.isfinite(outline).all())
-        if dimension == 3 and finite:
-            hull_rows(outline)
-        elif not (finite and _is_convex(outline)):
-            raise InvalidInputError(
-                f"polygons must be finite and convex, found {outline.tolist()} in polygon {index}"
-            )
-    return checked, nodes
+def check_outline(name: str, outline: np.ndarray) -> None:
+    """Raises `InvalidInputError` for an outline [V, 2] m that is not convex, or points [V, 3] m in
+    a plane; ``name`` is its name in the error."""
+    if outline.shape[1] == 3:
+        hull_rows(outline)
+    elif not _is_convex(outline):
+        raise InvalidInputError(f"{name} must be convex, found {outline.tolist()}")
 
 
 def _is_convex(outline: np.ndarray) -> bool:
@@ -145,8 +115,3 @@ def signed_area(outline: np.ndarray) -> float:
     """m^2, of an outline [V, 2] m; positive where it runs counter-clockwise."""
     following = np.roll(outline, -1, axis=0)
     return float(0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
-
-
-def rows_of(polygons: Iterable[np.ndarray] | None) -> list[np.ndarray]:
-    """[V, 2] m: their corners in the plane; [V, 5, 3] m: the `hull_rows` in space."""
-    return [each if each.shape[1] == 2 else hull_rows(each) for each in polygons or ()]

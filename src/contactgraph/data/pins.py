@@ -4,37 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from contactgraph.data.errors import InvalidInputError
-
-
-def checked_pins(
-    pins: np.ndarray | None, pin_points: np.ndarray | None, count: int, dimension: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """`Scene.pins` and `Scene.pin_points` as arrays; raises `InvalidInputError` where they do not
-    fit a scene of ``count`` nodes."""
-    if pins is None or pin_points is None:
-        raise InvalidInputError("pins and pin_points must be given together")
-    if dimension != 2:
-        raise InvalidInputError(f"pins need a scene in the plane, found {dimension} dimensions")
-    nodes, points = np.asarray(pins), np.asarray(pin_points, dtype=np.float64)
-    if nodes.ndim != 2 or nodes.shape[1] != 2:
-        raise InvalidInputError(f"pins must have shape (P, 2), found {nodes.shape}")
-    if not np.issubdtype(nodes.dtype, np.integer):
-        raise InvalidInputError(f"pins must be integers, found {nodes.dtype}")
-    if points.shape != (*nodes.shape, dimension):
-        raise InvalidInputError(
-            f"pin_points must have shape (P, 2, D) = {(*nodes.shape, dimension)}, "
-            f"found {points.shape}"
-        )
-    for pin, ends in enumerate(nodes.tolist()):
-        if not 0 <= min(ends) <= max(ends) < count or ends[0] == ends[1]:
-            raise InvalidInputError(
-                f"pins must join two different nodes of 0 to {count - 1}, found {ends} in pin {pin}"
-            )
-    if not np.isfinite(points).all():
-        raise InvalidInputError(f"pin_points must be finite, found {points.tolist()}")
-    return nodes.astype(np.int64), points
-
 
 def pin_gaps(
     pins: np.ndarray, pin_points: np.ndarray, position: np.ndarray, angle: np.ndarray

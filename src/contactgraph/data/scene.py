@@ -1,17 +1,26 @@
 """The constants of a recorded scene."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.outlines import checked_polygons, signed_area
-from contactgraph.data.pins import checked_pins
+from contactgraph.data.outlines import check_outline, signed_area
+from contactgraph.data.schema import (
+    BOUNDS,
+    FINITE_OR_NONE,
+    NODES,
+    NOT_NEGATIVE,
+    PAIRS,
+    PLANES,
+    SIDES_OR_NONE,
+    Field,
+    check_fields,
+)
 
 CONTROL_KINDS = ("force", "position", "displacement", "velocity", "switch", "other")
 """Meanings of a component of the control, by `Scene.control_kind`."""
-_UNIT_TOLERANCE = 1e-6
-"""Largest error of the length of a plane's normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,57 +31,61 @@ class Scene:
     or names that are not unique.
     """
 
-    node_name: tuple[str, ...]
+    node_name: Annotated[tuple[str, ...], Field("N", str)]
     """[N] unique names, e.g. ``("gripper", "object-0")``."""
-    node_type: tuple[str, ...]
+    node_type: Annotated[tuple[str, ...], Field("N", str)]
     """[N] types of node, e.g. ``("gripper", "object")``."""
-    actuated: np.ndarray
+    actuated: Annotated[np.ndarray, Field("N", bool)]
     """[N] bool: whether the control acts on the node itself."""
     dt: float
     """Time between two steps, s."""
     dimension: int = 2
     """D, degrees of freedom a node."""
-    anchor: np.ndarray | None = None
+    anchor: Annotated[
+        np.ndarray | None, Field("N D", unit="m", rule=FINITE_OR_NONE, place=True, padding=np.nan)
+    ] = None
     """[N, D] hinge position, m; NaN where a node has none. None: no node has one."""
-    goal: np.ndarray | None = None
+    goal: Annotated[np.ndarray | None, Field("D", unit="m", place=True)] = None
     """[D] goal position, m. None: there is no goal."""
-    gravity: np.ndarray | None = None
+    gravity: Annotated[np.ndarray | None, Field("D", unit="m/s^2")] = None
     """[D] m/s^2: acceleration of bodies without support or actuation. They rest on a support until
     they are lifted. None: bodies have no weight, or lie on a plane that supports it."""
-    mass: np.ndarray | None = None
+    mass: Annotated[np.ndarray | None, Field("N", unit="kg", rule=NOT_NEGATIVE)] = None
     """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
-    radius: np.ndarray | None = None
+    radius: Annotated[np.ndarray | None, Field("N", unit="m", rule=NOT_NEGATIVE)] = None
     """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
-    size: np.ndarray | None = None
+    size: Annotated[np.ndarray | None, Field("N D", unit="m", rule=SIDES_OR_NONE)] = None
     """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
     for a node that is no box. None: no node is."""
-    candidate_edges: np.ndarray | None = None
+    candidate_edges: Annotated[np.ndarray | None, Field("E 2", int, rule=PAIRS)] = None
     """[E, 2] int: pairs of nodes that could touch. None: every pair."""
-    static: np.ndarray | None = None
+    static: Annotated[np.ndarray | None, Field("N", bool)] = None
     """[N] bool: bodies that never move, such as pillars and walls. None: not known."""
-    control_kind: tuple[str, ...] | None = None
+    control_kind: Annotated[tuple[str, ...] | None, Field("U", str)] = None
     """[U] the meaning of each component of the control: ``force`` (N), ``position`` (a target in
     the world, m), ``displacement`` (a target relative to the body, m), ``velocity`` (m/s),
     ``switch`` (0 off to 1 on, moves nothing by itself) or ``other``. None: all are forces."""
-    control_of: np.ndarray | None = None
+    control_of: Annotated[np.ndarray | None, Field("N U", bool)] = None
     """[N, U] bool: the components that act on each node. None: component d moves degree of freedom
     d of every actuated node, and further components move nothing."""
-    planes: np.ndarray | None = None
+    planes: Annotated[np.ndarray | None, Field("P D+1", rule=PLANES)] = None
     """[P, D+1] rows of a unit normal n and an offset o, m: space is free where n·x >= o. None: not
     known."""
-    reach: np.ndarray | None = None
+    reach: Annotated[
+        np.ndarray | None, Field("N 2 D", unit="m", rule=BOUNDS, place=True, padding=np.nan)
+    ] = None
     """[N, 2, D] m: lower and upper bounds of the position of an actuated body, such as a robot's
     workspace; NaN where there is none. None: not known."""
-    polygons: tuple[np.ndarray, ...] | None = None
-    """[P] convex outlines [V, 2] of nodes in the plane, in space points [V, 3] whose convex hulls
+    polygons: Annotated[tuple[np.ndarray, ...] | None, Field("Q V D", unit="m")] = None
+    """[Q] convex outlines [V, 2] of nodes in the plane, in space points [V, 3] whose convex hulls
     they are, in the body's frame, m. None: not known."""
-    polygon_of: np.ndarray | None = None
-    """[P] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
-    pins: np.ndarray | None = None
-    """[P, 2] int: two nodes each, in the plane, that a joint holds together at a point and lets
+    polygon_of: Annotated[np.ndarray | None, Field("Q", int, rule=NODES)] = None
+    """[Q] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
+    pins: Annotated[np.ndarray | None, Field("J 2", int, rule=PAIRS)] = None
+    """[J, 2] int: two nodes each, in the plane, that a joint holds together at a point and lets
     turn. None: not known."""
-    pin_points: np.ndarray | None = None
-    """[P, 2, D] m: that point in the frame of either body. Given with ``pins``."""
+    pin_points: Annotated[np.ndarray | None, Field("J 2 D", unit="m")] = None
+    """[J, 2, D] m: that point in the frame of either body. Given with ``pins``."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
     """Free-form: task, seed, simulator version, substeps, …"""
 
@@ -82,66 +95,46 @@ class Scene:
         return f"Scene({nodes}; N={self.node_count}, D={self.dimension}, dt={self.dt:g} s)"
 
     def __post_init__(self) -> None:
-        count, dimension = len(self.node_name), self.dimension
-        _set(self, "actuated", np.asarray(self.actuated, dtype=bool))
-        if len(set(self.node_name)) != count:
-            raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
-        shapes = {
-            "actuated": (count,),
-            "anchor": (count, dimension),
-            "goal": (dimension,),
-            "gravity": (dimension,),
-            "mass": (count,),
-            "radius": (count,),
-            "size": (count, dimension),
-        }
-        if len(self.node_type) != count:
+        for name, other in (("polygons", "polygon_of"), ("pins", "pin_points")):
+            if (getattr(self, name) is None) != (getattr(self, other) is None):
+                raise InvalidInputError(f"{name} and {other} must be given together")
+        if self.polygons is not None and self.dimension not in (2, 3):
             raise InvalidInputError(
-                f"node_type must have one entry a node ({count}), found {len(self.node_type)}"
+                f"polygons need a scene of 2 or 3 dimensions, found {self.dimension}"
             )
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None:
-                continue
-            if name != "actuated":
-                value = np.asarray(value, dtype=np.float64)
-                _set(self, name, value)
-            if value.shape != shape:
-                raise InvalidInputError(f"{name} must have shape {shape}, found {value.shape}")
-        for name in ("goal", "gravity", "mass", "radius"):
-            value = getattr(self, name)
-            if value is not None and not np.all(np.isfinite(value)):
-                raise InvalidInputError(f"{name} must be finite, found {value.tolist()}")
-        for name in ("mass", "radius"):
-            value = getattr(self, name)
-            if value is not None and np.any(value < 0.0):
-                raise InvalidInputError(f"{name} must not be negative, found {value.tolist()}")
-        if self.size is not None:
-            _check_size(self.size, self.node_name)
-        if self.candidate_edges is not None:
-            _set(self, "candidate_edges", _checked_edges(self.candidate_edges, count))
+        if self.pins is not None and self.dimension != 2:
+            raise InvalidInputError(
+                f"pins need a scene in the plane, found {self.dimension} dimensions"
+            )
+        check_fields(self, {"D": self.dimension}, tuple(self.node_name))
+        if len(set(self.node_name)) != self.node_count:
+            raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
+        for kind in self.control_kind or ():
+            if kind not in CONTROL_KINDS:
+                raise InvalidInputError(
+                    f"control_kind must name {', '.join(CONTROL_KINDS)}, found {kind!r}"
+                )
+        for index, outline in enumerate(self.polygons or ()):
+            check_outline(f"polygons[{index}]", outline)
+        self._check_actuated()
+
+    def _check_actuated(self) -> None:
+        """Raises `InvalidInputError` for a static node that is actuated, or a bound of one that is
+        not."""
         if self.static is not None:
-            _set(self, "static", _checked_static(self.static, self.actuated, self.node_name))
-        if self.control_kind is not None:
-            _set(self, "control_kind", _checked_kinds(self.control_kind))
-        if self.control_of is not None:
-            _set(self, "control_of", _checked_control_of(self.control_of, count))
-        if self.planes is not None:
-            _set(self, "planes", _checked_planes(self.planes, dimension))
+            for node in np.flatnonzero(self.static & self.actuated):
+                raise InvalidInputError(
+                    f"static must name nodes that are not actuated, found {self.node_name[node]!r}"
+                )
         if self.reach is not None:
-            _set(
-                self, "reach", _checked_reach(self.reach, self.actuated, dimension, self.node_name)
-            )
-        if self.polygons is not None or self.polygon_of is not None:
-            polygons, nodes = checked_polygons(self.polygons, self.polygon_of, count, dimension)
-            _set(self, "polygons", polygons)
-            _set(self, "polygon_of", nodes)
-        if self.pins is not None or self.pin_points is not None:
-            pins, points = checked_pins(self.pins, self.pin_points, count, dimension)
-            _set(self, "pins", pins)
-            _set(self, "pin_points", points)
+            bounded = np.any(np.isfinite(self.reach), axis=(1, 2))
+            for node in np.flatnonzero(bounded & ~self.actuated):
+                raise InvalidInputError(
+                    f"reach must be NaN for nodes that are not actuated, found "
+                    f"{self.reach[node].tolist()} for {self.node_name[node]!r}"
+                )
 
     @property
     def node_count(self) -> int:
@@ -169,105 +162,9 @@ class Scene:
         return self.gravity is not None and bool(np.any(self.gravity != 0.0))
 
     @property
-    def has_reach(self) -> bool:
-        """Whether the reach of some node is bounded."""
-        return self.reach is not None and bool(np.any(np.isfinite(self.reach)))
-
-    @property
     def has_hinges(self) -> bool:
         """Whether some node hangs on a hinge."""
         return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
-
-
-def _check_size(size: np.ndarray, names: tuple[str, ...]) -> None:
-    box = np.all(np.isfinite(size) & (size > 0.0), axis=1)
-    for node in np.flatnonzero(~(box | np.all(np.isnan(size), axis=1))):
-        raise InvalidInputError(
-            f"size must be positive, or NaN throughout for a node that is no box, "
-            f"found {size[node].tolist()} for {names[node]!r}"
-        )
-
-
-def _checked_edges(edges: np.ndarray, count: int) -> np.ndarray:
-    edges = np.asarray(edges, dtype=np.int64)
-    if edges.ndim != 2 or edges.shape[1] != 2:
-        raise InvalidInputError(f"candidate_edges must have shape (E, 2), found {edges.shape}")
-    if edges.size and (edges.min() < 0 or edges.max() >= count):
-        raise InvalidInputError(f"candidate_edges must name nodes 0 to {count - 1}")
-    if np.any(edges[:, 0] == edges[:, 1]):
-        raise InvalidInputError("candidate_edges must join two different nodes")
-    return edges
-
-
-def _checked_static(static: np.ndarray, actuated: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-    static = np.asarray(static, dtype=bool)
-    if static.shape != actuated.shape:
-        raise InvalidInputError(f"static must have shape {actuated.shape}, found {static.shape}")
-    for node in np.flatnonzero(static & actuated):
-        raise InvalidInputError(
-            f"static must name nodes that are not actuated, found {names[node]!r}"
-        )
-    return static
-
-
-def _checked_kinds(kinds: tuple[str, ...]) -> tuple[str, ...]:
-    kinds = tuple(str(each) for each in kinds)
-    for each in kinds:
-        if each not in CONTROL_KINDS:
-            raise InvalidInputError(
-                f"control_kind must name {', '.join(CONTROL_KINDS)}, found {each!r}"
-            )
-    return kinds
-
-
-def _checked_control_of(control_of: np.ndarray, count: int) -> np.ndarray:
-    control_of = np.asarray(control_of, dtype=bool)
-    if control_of.ndim != 2 or len(control_of) != count:
-        raise InvalidInputError(
-            f"control_of must have shape (N, U) with N = {count}, found {control_of.shape}"
-        )
-    return control_of
-
-
-def _checked_planes(planes: np.ndarray, dimension: int) -> np.ndarray:
-    planes = np.asarray(planes, dtype=np.float64)
-    if planes.ndim != 2 or planes.shape[1] != dimension + 1:
-        raise InvalidInputError(
-            f"planes must have shape (P, D+1) = (P, {dimension + 1}), found {planes.shape}"
-        )
-    length = np.linalg.norm(planes[:, :-1], axis=1)
-    wrong = ~np.isfinite(planes).all(axis=1) | ~(np.abs(length - 1.0) <= _UNIT_TOLERANCE)
-    for plane in np.flatnonzero(wrong):
-        raise InvalidInputError(
-            f"planes must be a normal of length 1 and a finite offset, "
-            f"found {planes[plane].tolist()} in row {plane}"
-        )
-    return planes
-
-
-def _checked_reach(
-    reach: np.ndarray, actuated: np.ndarray, dimension: int, names: tuple[str, ...]
-) -> np.ndarray:
-    reach = np.asarray(reach, dtype=np.float64)
-    shape = (len(actuated), 2, dimension)
-    if reach.shape != shape:
-        raise InvalidInputError(f"reach must have shape (N, 2, D) = {shape}, found {reach.shape}")
-    wrong = np.any(np.isinf(reach), axis=(1, 2)) | np.any(reach[:, 0] >= reach[:, 1], axis=1)
-    for node in np.flatnonzero(wrong):
-        raise InvalidInputError(
-            "reach must be lower bounds below upper ones, each finite or NaN for none, "
-            f"found {reach[node].tolist()} for {names[node]!r}"
-        )
-    for node in np.flatnonzero(~actuated & np.any(np.isfinite(reach), axis=(1, 2))):
-        raise InvalidInputError(
-            f"reach must be NaN for nodes that are not actuated, found "
-            f"{reach[node].tolist()} for {names[node]!r}"
-        )
-    return reach
-
-
-def _set(instance: object, name: str, value: object) -> None:
-    object.__setattr__(instance, name, value)
 
 
 def box_distance(offset: np.ndarray, half_size: np.ndarray) -> np.ndarray:

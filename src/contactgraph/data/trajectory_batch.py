@@ -5,15 +5,15 @@ Nothing here imports JAX: the fields are NumPy arrays until a caller maps them t
 
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
-from contactgraph.data.outlines import rows_of
+from contactgraph.data.outlines import hull_rows
 from contactgraph.data.scene import Scene
+from contactgraph.data.schema import Field, fields_of
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.turns import coordinate_count, generalized_coordinates
 
@@ -74,6 +74,15 @@ class Nodes(NamedTuple, Generic[Array]):
         """[..., N] bool: whether a node hangs on a hinge."""
         mask, anchor = cast(Any, self.mask), cast(Any, self.anchor)
         return mask & False if anchor is None else anchor[..., 0] == anchor[..., 0]  # NaN differs
+
+
+PROPERTIES = {
+    **{name: field for name, field in fields_of(Scene).items() if name in Nodes._fields},
+    "type_id": Field("N", np.int32),
+    "half_size": Field("N D"),
+    "outlines": Field("N Q V D"),
+}
+"""The fields of `Nodes` that scenes tell, by name."""
 
 
 class TrajectoryBatch(NamedTuple, Generic[Array]):
@@ -158,8 +167,8 @@ def pad_trajectories(
             pairs = pair_indices(each.scene.node_count)
             labels = each.contact[:, pairs[:, 0], pairs[:, 1]]
             contact[index, : each.steps + 1, : len(pairs)] = labels
-    present = present_properties(each.scene for each in trajectories)
-    nodes = zip(*(pad_nodes(each.scene, capacity, present) for each in trajectories), strict=True)
+    shapes = property_shapes(each.scene for each in trajectories)
+    nodes = zip(*(pad_nodes(each.scene, capacity, shapes) for each in trajectories), strict=True)
     return TrajectoryBatch(
         position=position,
         velocity=velocity,
@@ -187,104 +196,78 @@ def type_id(name: str) -> int:
     return int(np.uint32(zlib.crc32(name.encode())).view(np.int32))
 
 
-@dataclass(frozen=True)
-class PresentProperties:
-    """The optional properties of nodes that some scene of a batch has, so that all get arrays."""
-
-    hinges: bool
-    static: bool
-    control_of: bool
-    """Whether several nodes of a scene are actuated, and the scene says by which components."""
-    planes: int
-    """Most planes of a scene; 0: none has any."""
-    gravity: bool
-    boxes: bool
-    reach: bool
-    outlines: tuple[int, int]
-    """Most polygons of a node, and most vertices of a polygon; 0: there are none."""
-    pins: int
-    """Most pins of a scene; 0: none has any."""
+def node_properties(scene: Scene) -> dict[str, np.ndarray]:
+    """The `PROPERTIES` that a scene tells, without padding."""
+    found = {name: getattr(scene, name, None) for name in PROPERTIES}
+    found["type_id"] = np.array([type_id(name) for name in scene.node_type])
+    found["outlines"] = _outlines(scene)
+    return {name: value for name, value in found.items() if value is not None}
 
 
-def present_properties(scenes: Iterable[Scene]) -> PresentProperties:
-    """What any of the scenes has."""
-    scenes = tuple(scenes)
-    return PresentProperties(
-        hinges=any(each.has_hinges for each in scenes),
-        static=any(each.static is not None and bool(each.static.any()) for each in scenes),
-        control_of=any(each.control_of is not None and each.actuated.sum() > 1 for each in scenes),
-        planes=max(0 if each.planes is None else len(each.planes) for each in scenes),
-        gravity=any(each.has_weight for each in scenes),
-        boxes=any(each.size is not None for each in scenes),
-        reach=any(each.has_reach for each in scenes),
-        outlines=(
-            max(0 if each.polygons is None else _most_polygons(each) for each in scenes),
-            max((len(rows) for each in scenes for rows in rows_of(each.polygons)), default=0),
-        ),
-        pins=max(0 if each.pins is None else len(each.pins) for each in scenes),
-    )
+def _outlines(scene: Scene) -> np.ndarray | None:
+    """[N, Q, V, …] m: see `Nodes.outlines`."""
+    of_node = [scene.outlines_of(node) for node in range(scene.node_count)]
+    if scene.dimension == 3:
+        of_node = [list(map(hull_rows, each)) for each in of_node]
+    every = [rows for each in of_node for rows in each]
+    if not every:
+        return None
+    size = max(map(len, of_node)), max(map(len, every))
+    outlines = np.zeros((len(of_node), *size, *every[0].shape[1:]))
+    for node, each in enumerate(of_node):
+        for index, rows in enumerate(each):
+            outlines[node, index:, : len(rows)] = rows
+            outlines[node, index:, len(rows) :] = rows[-1]
+    return outlines
+
+
+def property_shapes(scenes: Iterable[Scene]) -> dict[str, tuple[int, ...]]:
+    """The largest shape of each of the `PROPERTIES` that are more than padding in some scene."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    for scene in scenes:
+        for name, value in node_properties(scene).items():
+            field = PROPERTIES[name]
+            if name in ("actuated", "type_id"):
+                needed = True
+            elif name == "control_of":  # All components act on a node that alone is actuated.
+                needed = scene.actuated.sum() > 1
+            elif field.axis[0] in ("J", "P"):
+                needed = len(value) > 0
+            else:
+                needed = not np.array_equal(
+                    value, np.full_like(value, field.padding), equal_nan=True
+                )
+            if needed:
+                shapes[name] = tuple(map(max, value.shape, shapes.get(name, value.shape)))
+    return shapes
 
 
 def pad_nodes(
-    scene: Scene, capacity: int, present: PresentProperties | None = None
+    scene: Scene, capacity: int, shapes: dict[str, tuple[int, ...]] | None = None
 ) -> Nodes[np.ndarray]:
-    """The nodes of a scene, padded to ``capacity``, with the ``present`` properties (default: its).
+    """The nodes of a scene, padded to ``capacity``, with properties of these ``shapes``.
 
-    Raises `InvalidInputError` where the scene has more nodes.
+    The shapes are those of `property_shapes`, by default of this scene. Raises `InvalidInputError`
+    where the scene has more nodes.
     """
-    count, dimension = scene.node_count, scene.dimension
+    count = scene.node_count
     if capacity < count:
         raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
-    present = present_properties([scene]) if present is None else present
-
-    def padded(values: Any, fill: Any, dtype: Any, *shape: int) -> np.ndarray:
-        array = np.full((capacity, *shape), fill, dtype)
-        if values is not None:
-            array[:count] = values
-        return array
-
-    planes = np.zeros((present.planes, dimension + 1))
-    if scene.planes is not None:
-        planes[: len(scene.planes)] = scene.planes
-    pins, points = np.zeros((present.pins, 2), int), np.zeros((present.pins, 2, dimension))
-    if scene.pins is not None:
-        pins[: len(scene.pins)], points[: len(scene.pins)] = scene.pins, scene.pin_points
-    weight = np.zeros(dimension) if scene.gravity is None else scene.gravity
-    types = [type_id(name) for name in scene.node_type]
-    control_of = None
-    if present.control_of:
-        assert scene.control_of is not None
-        control_of = padded(scene.control_of, False, bool, scene.control_of.shape[1])
+    shapes = property_shapes([scene]) if shapes is None else shapes
+    given = node_properties(scene)
+    if "control_of" in shapes and "control_of" not in given:
+        given["control_of"] = np.repeat(scene.actuated[:, None], shapes["control_of"][1], axis=1)
+    padded: dict[str, Any] = {}
+    for name, shape in shapes.items():
+        field = PROPERTIES[name]
+        if field.axis[0] == "N":
+            shape = (capacity, *shape[1:])
+        value = given.get(name, np.empty((0, *shape[1:])))
+        more = [(0, size - own) for size, own in zip(shape, value.shape, strict=True)]
+        if "V" in field.axis:  # Repeated corners and polygons change no outline.
+            value = np.pad(value, [(0, 0), *more[1:]], mode="edge")
+            more[1:] = [(0, 0)] * len(more[1:])
+        padded[name] = np.pad(value.astype(field.kind), more, constant_values=field.padding)
     return Nodes(
-        actuated=padded(scene.actuated, False, bool),
-        mask=np.arange(capacity) < count,
-        candidate=candidate_pairs(scene, capacity),
-        anchor=padded(scene.anchor, np.nan, float, dimension) if present.hinges else None,
-        type_id=padded(types, 0, np.int32),
-        static=padded(scene.static, False, bool) if present.static else None,
-        control_of=control_of,
-        planes=planes if present.planes else None,
-        gravity=weight if present.gravity else None,
-        half_size=padded(scene.half_size, 0.0, float, dimension) if present.boxes else None,
-        reach=padded(scene.reach, np.nan, float, 2, dimension) if present.reach else None,
-        outlines=_padded_outlines(scene, capacity, *present.outlines),
-        pins=pins if present.pins else None,
-        pin_points=points if present.pins else None,
+        mask=np.arange(capacity) < count, candidate=candidate_pairs(scene, capacity), **padded
     )
-
-
-def _most_polygons(scene: Scene) -> int:
-    return int(np.bincount(np.asarray(scene.polygon_of, int), minlength=1).max(initial=0))
-
-
-def _padded_outlines(scene: Scene, capacity: int, count: int, vertices: int) -> np.ndarray | None:
-    """[capacity, count, vertices, …] m: see `Nodes.outlines`; None for a ``count`` of 0."""
-    if count == 0:
-        return None
-    of_row = (2,) if scene.dimension == 2 else (5, 3)
-    outlines = np.zeros((capacity, count, vertices, *of_row))
-    for node in range(scene.node_count):
-        for index, rows in enumerate(rows_of(scene.outlines_of(node))):
-            padding = np.repeat(rows[-1:], vertices - len(rows), axis=0)
-            outlines[node, index:] = np.concatenate([rows, padding])
-    return outlines

@@ -35,7 +35,7 @@ def generalized_coordinates(
     turn = rate = unknown
     if orientation is not None and dimension == 3:
         turn = rotation_vectors(orientation)
-        rate = unknown if angular_velocity is None else turned_back(turn, angular_velocity)
+        rate = unknown if angular_velocity is None else turned_by(-turn, angular_velocity)
     elif orientation is not None:
         turn, rate = orientation, unknown if angular_velocity is None else angular_velocity
     return (
@@ -91,11 +91,6 @@ def near_turn(turn: np.ndarray, other: np.ndarray) -> np.ndarray:
     return turn + 2.0 * np.pi * np.nan_to_num(whole) * axis
 
 
-def turned_back(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """[..., 3] vectors of the world in the frames of bodies with rotation vectors ``turn``, rad."""
-    return turned_by(-turn, vector)
-
-
 def turned_by(turn: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """[..., 3] vectors, turned by rotation vectors ``turn`` [..., 3] rad."""
     axis, angle = _axis_and_angle(turn)
@@ -123,23 +118,16 @@ def turn_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     angles [..., 1] in the plane and rotation vectors [..., 3] in space; NaN stays."""
     if one.shape[-1] == 1:
         return np.abs(one - other)[..., 0]
-    first, second = quaternions(one), quaternions(other)
-    vector = first[..., :1] * second[..., 1:] - second[..., :1] * first[..., 1:]
-    vector = vector - np.cross(first[..., 1:], second[..., 1:])
-    scalar = np.abs(np.sum(first * second, axis=-1))
-    return np.asarray(2.0 * np.arctan2(np.linalg.norm(vector, axis=-1), scalar))
+    between = _product(quaternions(-one), quaternions(other))
+    length = np.linalg.norm(between[..., 1:], axis=-1)
+    return np.asarray(2.0 * np.arctan2(length, np.abs(between[..., 0])))
 
 
 def turned_on(turn: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Orientations, as in `turn_between`, of bodies that turn on ``by`` about their own axes."""
     if turn.shape[-1] == 1:
         return turn + by
-    first, second = quaternions(turn), quaternions(by)
-    scalar = first[..., :1] * second[..., :1]
-    scalar = scalar - np.sum(first[..., 1:] * second[..., 1:], axis=-1, keepdims=True)
-    vector = first[..., :1] * second[..., 1:] + second[..., :1] * first[..., 1:]
-    vector = vector + np.cross(first[..., 1:], second[..., 1:])
-    return rotation_vectors(np.concatenate([scalar, vector], axis=-1)[None])[0]
+    return rotation_vectors(_product(quaternions(turn), quaternions(by))[None])[0]
 
 
 def angular_velocity(before: np.ndarray, after: np.ndarray, dt: float) -> np.ndarray:
@@ -150,7 +138,15 @@ def angular_velocity(before: np.ndarray, after: np.ndarray, dt: float) -> np.nda
     """
     if before.shape[1] != 4:
         return (after - before) / dt
-    return np.asarray((rotations(after) * rotations(before).inv()).as_rotvec() / dt)
+    return rotation_vectors(_product(after, before * [1.0, -1.0, -1.0, -1.0])) / dt
+
+
+def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """[..., 4] (w, x, y, z): the product of two quaternions."""
+    (one, left), (other, right) = (np.split(each, [1], axis=-1) for each in (first, second))
+    scalar = one * other - np.sum(left * right, axis=-1, keepdims=True)
+    vector = one * right + other * left + np.cross(left, right)
+    return np.concatenate([scalar, vector], axis=-1)
 
 
 def rotations(quaternion: np.ndarray) -> "Rotation":

@@ -12,12 +12,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.file_layout import Field
+from contactgraph.data.schema import Field
 
 _DEFLATE_LIMIT = 1100
 """One byte stored by deflate never expands to more than this many."""
@@ -25,6 +26,13 @@ _UNPACKED_LIMIT = 2**30
 """Largest size of an unpacked array, bytes, that is larger than in the file."""
 _TEXT_LIMIT = 2**20
 """Largest size of one text, bytes."""
+_KINDS = {
+    float: ("fiu", "floats or integers"),
+    bool: ("biu", "bools, or integers 0 and 1"),
+    int: ("iu", "integers"),
+    str: ("S", "UTF-8 texts of fixed length, like np.array([b'gripper'])"),
+}
+"""NumPy's letters for the types that are read as the kinds of `Field`, and their description."""
 _BUILT_IN_FILTERS = frozenset({1, 2, 3, 4, 5, 6, 32000})
 """Deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf; others would load a plug-in."""
 
@@ -89,15 +97,26 @@ class UntrustedGroup:
                 raise InvalidInputError(f"{where}: must be a group, found an array")
             return UntrustedGroup(where, found)
 
-    def shape(self, name: str, field: Field) -> tuple[int, ...]:
-        """Shape of the array ``name``, after a check of its rank, type, unit and size."""
-        with reading(self._at(name)):
-            return tuple(self._array(name, field).shape)
-
-    def array(self, name: str, field: Field) -> np.ndarray:
-        """The array ``name``, checked against ``field``."""
-        with reading(self._at(name)):
-            return self._array(name, field)[...]
+    def array(self, name: str, field: Field) -> Any:
+        """The array or the texts ``name``, after a check of its rank, type, unit and size."""
+        where = self._at(name)
+        with reading(where):
+            found = self._dataset(name)
+            kinds, words = _KINDS[field.kind]
+            if found.dtype.kind not in kinds or found.ndim != len(field.axis):
+                raise InvalidInputError(
+                    f"{where}: must have shape {field.shape} of {words}, "
+                    f"found {_kind(found.dtype)} in shape {found.shape}"
+                )
+            unit = _scalar(where, found.attrs, "unit") if "unit" in found.attrs else field.unit
+            if unit != field.unit:
+                raise InvalidInputError(f"{where}: unit must be {field.unit}, found {unit}")
+            value = found[...]
+            if field.kind is str:
+                return tuple(text.decode("utf-8") for text in value)
+            if field.kind is bool and not np.isin(value, (0, 1)).all():
+                raise InvalidInputError(f"{where}: must hold only 0 and 1")
+            return value
 
     def numbers(self, name: str) -> np.ndarray | str:
         """The array ``name`` of numbers or bools of any shape; a text says what else is there."""
@@ -106,18 +125,6 @@ class UntrustedGroup:
             if found.dtype.kind not in "biuf" or not found.ndim:
                 return f"{_kind(found.dtype)} in shape {found.shape}"
             return found[...]
-
-    def texts(self, name: str) -> tuple[str, ...]:
-        """The one-dimensional array of UTF-8 strings ``name``."""
-        where = self._at(name)
-        with reading(where):
-            found = self._dataset(name)
-            if found.dtype.kind != "S" or found.ndim != 1:
-                raise InvalidInputError(
-                    f"{where}: must be UTF-8 texts of fixed length in shape (N,), like "
-                    f"np.array([b'gripper']), found {_kind(found.dtype)} in shape {found.shape}"
-                )
-            return tuple(text.decode("utf-8") for text in found[...])
 
     def attribute(self, name: str) -> str | int | float | bool:
         """The scalar attribute ``name``."""
@@ -162,19 +169,6 @@ class UntrustedGroup:
                     f"{where}: declares shape {found.shape} ({needed} bytes), "
                     f"but the file holds {stored} bytes of it"
                 )
-        return found
-
-    def _array(self, name: str, field: Field) -> h5py.Dataset:
-        where = self._at(name)
-        found = self._dataset(name)
-        if found.dtype.kind not in field.kinds or found.ndim != len(field.shape):
-            raise InvalidInputError(
-                f"{where}: must have shape {field.meaning}, "
-                f"found {found.dtype} in shape {found.shape}"
-            )
-        unit = _scalar(where, found.attrs, "unit") if "unit" in found.attrs else field.unit
-        if unit != field.unit:
-            raise InvalidInputError(f"{where}: unit must be {field.unit}, found {unit}")
         return found
 
 

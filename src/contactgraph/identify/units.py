@@ -1,14 +1,13 @@
 """Units of training, so that those of the data do not matter."""
 
-import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
+from contactgraph.data.schema import changed
 from contactgraph.data.trajectory import Trajectory
 
 
@@ -41,32 +40,28 @@ def units_of(dataset: Dataset, contact_distance: float, usual: float) -> Units:
 
 def in_units(dataset: Dataset, units: Units) -> Dataset:
     """The same trajectories, in these units."""
-    every = tuple(_trajectory(each, units) for each in dataset)
-    return dataclasses.replace(dataset, trajectories=every)
+    return dataset.map(lambda each: _trajectory(each, units))
 
 
 def _trajectory(each: Trajectory, units: Units) -> Trajectory:
-    lengths: dict[str, Any] = {
-        name: None if getattr(each, name) is None else getattr(each, name) / units.length
-        for name in ("position", "velocity", "link_positions")
-    }
-    control = each.control / np.array(units.control)
-    scene = _scene(each.scene, units.length)
-    return dataclasses.replace(each, scene=scene, control=control, **lengths)
+    return changed(
+        each,
+        lambda field, value: value / units.length if field.of_length else value,
+        control=each.control / np.array(units.control),
+        scene=_scene(each.scene, units.length),
+    )
 
 
 def _scene(scene: Scene, length: float) -> Scene:
-    given: dict[str, Any] = {
-        name: getattr(scene, name) / length
-        for name in ("anchor", "goal", "gravity", "radius", "size", "reach", "pin_points")
-        if getattr(scene, name) is not None
-    }
-    if scene.planes is not None:
-        given["planes"] = scene.planes / np.append(np.ones(scene.dimension), length)
-    if scene.polygons is not None:
-        given["polygons"] = tuple(each / length for each in scene.polygons)
-    metadata = dict(scene.metadata)
+    planes, metadata = scene.planes, dict(scene.metadata)
+    if planes is not None:
+        planes = planes / np.append(np.ones(scene.dimension), length)
     distance = metadata.get("contact_distance")
     if isinstance(distance, int | float):
         metadata["contact_distance"] = distance / length
-    return dataclasses.replace(scene, metadata=metadata, **given)
+    return changed(
+        scene,
+        lambda field, value: value / length if field.of_length else value,
+        planes=planes,
+        metadata=metadata,
+    )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.data import InvalidInputError
+from contactgraph.data.atomic_file import check_readable
 from contactgraph.data.json_fields import JsonFields, parse_json
 
 LARGEST = 2**27
@@ -122,10 +123,7 @@ def check_count(where: str, count: int) -> None:
 
 def check_file(path: Path, largest: int) -> None:
     """Refuses what is no file, or has more bytes."""
-    if not path.exists():
-        raise InvalidInputError(f"{path}: does not exist")
-    if not path.is_file():
-        raise InvalidInputError(f"{path}: must be a file, found a folder or device")
+    check_readable(path)
     if path.stat().st_size > largest:
         raise InvalidInputError(f"{path}: must have at most {largest} bytes")
     with path.open("rb") as file:

@@ -13,7 +13,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import TrajectoryBatch
+from contactgraph.data.trajectory_batch import PROPERTIES, TrajectoryBatch
 from contactgraph.data.windows import Windows
 from contactgraph.model.types import Nodes
 
@@ -24,6 +24,8 @@ _PLACEMENT_TRIES = 8
 _REST = 1e-6
 """Speed, m/s, below which a body rests."""
 _WINDOW_AXIS = "windows"
+_OF_TYPE = ("type_id", "half_size", "outlines")
+"""Properties that a distractor has of its type."""
 
 
 class Window(eqx.Module):
@@ -246,30 +248,17 @@ def add_distractor(
 def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array, "B N"]) -> Nodes:
     """One more node, of the type of the first that is neither actuated nor static."""
     first = jnp.argmax(nodes.passive, axis=1)[:, None]
-
-    def appended(values: Array | None, last: Array | None = None) -> Array | None:
-        if values is None:
-            return None
-        last = jnp.zeros_like(values[:, :1]) if last is None else last
-        return jnp.concatenate([values, last], axis=1)
-
-    def of_first(values: Array | None) -> Array | None:
-        if values is None:
-            return None
-        return jnp.take_along_axis(values, first.reshape(-1, *(1,) * (values.ndim - 1)), axis=1)
-
-    unbounded = None if nodes.reach is None else jnp.full_like(nodes.reach[:, :1], jnp.nan)
+    # `pair_indices` lists the pairs of a new last node after all others.
+    last: dict[str, Array] = {"mask": exists[:, None], "candidate": edges}
+    for name, field in PROPERTIES.items():
+        values = getattr(nodes, name)
+        if values is not None and field.axis[0] == "N":
+            last[name] = jnp.full_like(values[:, :1], field.padding)
+            if name in _OF_TYPE:
+                of_first = first.reshape(-1, *(1,) * (values.ndim - 1))
+                last[name] = jnp.take_along_axis(values, of_first, axis=1)
     return nodes._replace(
-        actuated=appended(nodes.actuated),
-        mask=appended(nodes.mask, exists[:, None]),
-        # `pair_indices` lists the pairs of a new last node after all others.
-        candidate=appended(nodes.candidate, edges),
-        type_id=appended(nodes.type_id, of_first(nodes.type_id)),
-        static=appended(nodes.static),
-        control_of=appended(nodes.control_of),
-        half_size=appended(nodes.half_size, of_first(nodes.half_size)),
-        reach=appended(nodes.reach, unbounded),
-        outlines=appended(nodes.outlines, of_first(nodes.outlines)),
+        **{name: jnp.concatenate([getattr(nodes, name), each], 1) for name, each in last.items()}
     )
 
 

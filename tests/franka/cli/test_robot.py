@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.data import describe_file, read_trajectories
+from contactgraph.data import read_trajectories
 from contactgraph_franka.cli.options import ArmOptions, ctrl_c
 from contactgraph_franka.envs.pickup import sweep_fits, sweep_start, sweep_yaw
 from contactgraph_franka.safety import FakeRobot
@@ -119,7 +119,7 @@ def test_recording_resumes(
     assert "has its 2 trajectories already" in capsys.readouterr().out
     assert run(*record[:-1], 4, "--runs", 3) == 2
     assert "was recorded with --seed 3 --noise 0.5; use the same" in capsys.readouterr().err
-    assert describe_file(path).steps == (first.steps, second.steps)
+    assert [each.steps for each in read_trajectories(path)] == [first.steps, second.steps]
 
 
 @pytest.mark.slow
@@ -154,7 +154,7 @@ def test_stop_is_reported_and_the_recording_kept(
     output = capsys.readouterr()
     assert output.err.startswith("contactgraph: the arm stopped: ")
     assert output.err.count("\n") == 1
-    assert save.exists() and describe_file(save).steps[0] > 50
+    assert save.exists() and read_trajectories(save).trajectories[0].steps > 50
 
 
 def test_second_ctrl_c_interrupts() -> None:
