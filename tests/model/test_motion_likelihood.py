@@ -282,7 +282,7 @@ def test_a_model_learns_how_exact_its_motion_and_its_effects_are() -> None:
 
     def score(noise: PredictionNoise) -> jax.Array:
         motions = (moved, moved), (still, still), (moved, moved)
-        return jnp.sum(noise.score(still, *motions, jnp.ones((1, 1)), jnp.zeros(1), 0.1))
+        return jnp.sum(noise.score(still, *motions, jnp.ones((1, 1)), 0.1))
 
     noise = PredictionNoise(2)
     gradient = jax.grad(score)(noise)

@@ -103,19 +103,14 @@ class MotionNoise(eqx.Module):
         middle_v = jnp.where(closes[:, None, None], v[last], middle_v)
         # The effect of a type, beside none, is known up to a share of it.
         share = jnp.concatenate([jnp.zeros(1), self.type_share])[:, None] ** 2
-        effect_v, effect_x = _square(v, v[0]), _square(x, x[0])
-        # Of bodies that meet in the step it depends on when they do, which is known less well.
-        meets_v, share_x = self.model_share**2 * effect_v, share * effect_x
-        effect_v = share * effect_v
-        meets_x = self.model_share**2 * effect_x + dt**2 * meets_v
-        effect_x = share_x + dt**2 * effect_v
+        effect_v = share * _square(v, v[0])
+        effect_x = share * _square(x, x[0]) + dt**2 * effect_v
         change_v = _UNIFORM**2 * _square(v[last], v[first])
         change_x = _UNIFORM**2 * _square(x[last], x[first]) + dt**2 * change_v
         base_x, base_v = self._base(dt)
-        changing_x = 0.5 * (effect_x[first] + effect_x[last])
-        variance_x = base_x + change_x + jnp.where(closes[:, None], meets_x[last], changing_x)
+        variance_x = base_x + 0.5 * (effect_x[first] + effect_x[last]) + change_x
         changing_v = 0.5 * (effect_v[first] + effect_v[last]) + change_v
-        variance_v = base_v + jnp.where(closes[:, None], meets_v[last], changing_v)
+        variance_v = base_v + jnp.where(closes[:, None], effect_v[last], changing_v)
         middle = middle_x, middle_v
         likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
@@ -237,22 +232,20 @@ class PredictionNoise(eqx.Module):
 
     def score(
         self,
-        before: Float[Array, "*B N D"],
+        before: Float[Array, "N D"],
         predicted: Motion,
         unhindered: Motion,
         observed: Motion,
-        active: Float[Array, "*B N active"],
-        begun: Float[Array, "*B N"],
+        active: Float[Array, "N active"],
         dt: float,
-    ) -> Float[Array, "*B N"]:
+    ) -> Float[Array, " N"]:
         """Negative log-likelihood of every node's residual, up to a constant.
 
         ``before`` is their velocity [m/s] before the step, ``unhindered`` the prediction without
-        edges; ``active`` counts each node's edges that were so before, ``begun`` the others.
+        edges, and ``active`` counts each node's.
         """
-        usual, dimension = MotionNoise(), observed[0].shape[-1]
-        tail = usual.tail
-        share = active @ self.share**2 + usual.model_share**2 * begun
+        tail, dimension = MotionNoise().tail, observed[0].shape[-1]
+        share = active @ self.share**2
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
         drift = self.drift**2 * jnp.sum(before**2, axis=-1)
         variance_x = self.position**2 + dt**2 * drift + share * (effect_x + dt**2 * effect_v)

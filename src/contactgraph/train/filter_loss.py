@@ -93,16 +93,12 @@ def dynamics_loss(
     if model.prediction_noise is not None:
         count = position.shape[2]
         incidence = np.any(pair_indices(count)[..., None] == np.arange(count), axis=1)
-        at_nodes = incidence.T.astype(np.float32)
-        begun = jnp.argmax(judged.types, axis=-1) > jnp.argmax(judged.before, axis=-1)
-        lasting = jnp.where(begun[..., None], 0.0, judged.types[..., 1:])
         score = model.prediction_noise.score(
             windows.velocity[:, :-1],
             jax.lax.stop_gradient((position, velocity)),
             judged.unhindered,
             after,
-            at_nodes @ lasting,
-            begun @ at_nodes.T,
+            jnp.einsum("en,blea->blna", incidence.astype(position.dtype), judged.types[..., 1:]),
             model.dt,
         )
         near = jnp.any(in_reach[..., None] & incidence, axis=2)
