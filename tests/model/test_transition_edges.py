@@ -99,7 +99,7 @@ def test_motion_corrects_three_types_by_bayes_rule() -> None:
 
 
 def test_without_transitions_no_type_changes_within_a_step_and_none_is_impossible() -> None:
-    found = compiled(without_change, belief(0.999, 0.001), 0.01)
+    found = compiled(without_change, belief(0.999, 0.001))
     np.testing.assert_allclose(found[0], [[0.99, 0.0], [0.0, 0.01]], rtol=1e-6)
 
 

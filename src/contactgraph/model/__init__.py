@@ -45,12 +45,8 @@ from contactgraph.model.local_dynamics import ThetaMethod as ThetaMethod
 from contactgraph.model.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.model.message_passing import MessagePassing as MessagePassing
 from contactgraph.model.message_passing import TypedMessagePassing as TypedMessagePassing
-from contactgraph.model.motion_likelihood import MotionEvidence as MotionEvidence
 from contactgraph.model.motion_likelihood import MotionNoise as MotionNoise
 from contactgraph.model.motion_likelihood import check_motion_model as check_motion_model
-from contactgraph.model.motion_likelihood import (
-    contact_log_likelihood_ratio as contact_log_likelihood_ratio,
-)
 from contactgraph.model.motion_likelihood import correct_by_motion as correct_by_motion
 from contactgraph.model.motion_likelihood import motion_noise as motion_noise
 from contactgraph.model.neighbor_allocation import ReallocatingModel as ReallocatingModel

@@ -9,6 +9,8 @@ from contactgraph.data.errors import InvalidInputError
 
 _MIN_PROBABILITY = 1e-6
 _MIN_JOINT = 1e-12
+_LEAST_TYPE = 0.01
+"""Of a prediction without transitions, where motion contradicts it."""
 _UNBOUNDED = 0.1
 """Share of the gradient that is kept beyond the least transition."""
 _CHANGE = 0.02
@@ -199,13 +201,13 @@ def spread_over_types(active: Float[Array, " E"], edge_types: int) -> Float[Arra
     return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
 
-def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
+def without_change(predicted: ContactBelief) -> Float[Array, "E K K"]:
     """The probability of the pairs of types where no edge changes its type within the step.
 
-    No type is less probable than ``error_floor``: beyond their data networks are overconfident.
+    No type is less probable than 0.01: beyond their data networks are overconfident.
     """
-    most = 1.0 - (predicted.edge_types - 1) * error_floor
-    types = jnp.clip(predicted.type_probability, error_floor, most)
+    most = 1.0 - (predicted.edge_types - 1) * _LEAST_TYPE
+    types = jnp.clip(predicted.type_probability, _LEAST_TYPE, most)
     return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
 
 

@@ -144,8 +144,6 @@ class FilterState(eqx.Module):
     """N, of the step since."""
     predicted: ContactBelief
     """About that step."""
-    motion_log_odds: Float[Array, " E"]
-    """See `MotionEvidence`."""
     masses: MassBelief | None
     """By the motion so far. None: bodies of a type weigh alike."""
 
@@ -159,9 +157,8 @@ def first_filter_state(
 ) -> FilterState:
     """Before the observation of this first state: the model's first belief about it."""
     belief = model.initial_belief(position, velocity, nodes)
-    nan, odds = jnp.full_like(position, jnp.nan), jnp.zeros(nodes.candidate.shape, velocity.dtype)
-    before = ModelState(nan, nan, belief)
-    return FilterState(before, control, belief, odds, first_masses(model, nodes))
+    nan = jnp.full_like(position, jnp.nan)
+    return FilterState(ModelState(nan, nan, belief), control, belief, first_masses(model, nodes))
 
 
 def update(
@@ -179,15 +176,15 @@ def update(
     ``control`` [N] acted in the step since the last observation. In the result it is to be replaced
     by that of the next step, and the belief by the one predicted for that step.
     """
-    before, belief, odds = state.before, state.predicted, state.motion_log_odds
+    before, belief = state.before, state.predicted
     nodes = with_masses(nodes, state.masses)
-    made = control, observed, nodes
     if noise is not None:
-        judge, given = check_motion_model(model), (*made, noise)
-        belief, odds = correct_by_motion(judge, belief, before, odds, *given)
+        judge = check_motion_model(model)
+        belief = correct_by_motion(judge, belief, before, control, observed, nodes, noise)
     belief = correct(belief, contact, sensor)
-    masses = correct_masses(model, state.masses, before, belief, *made, noise)
-    return FilterState(ModelState(*observed, belief), control, belief, odds, masses)
+    masses = state.masses
+    masses = correct_masses(model, masses, before, belief, control, observed, nodes, noise)
+    return FilterState(ModelState(*observed, belief), control, belief, masses)
 
 
 def filter_trajectory(
