@@ -19,10 +19,10 @@ from contactgraph.model import (
     full_ab,
     ours,
     paper_literal,
-    relations,
 )
 from contactgraph.model import PRESETS as NAMED
 from contactgraph.model.collision import geometry
+from contactgraph.relations import relations
 
 DT = 0.05
 jitted_geometry = eqx.filter_jit(geometry)

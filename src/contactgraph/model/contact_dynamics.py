@@ -6,8 +6,10 @@ the active edges), and the linear step. Training encodes all states at once, the
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
@@ -15,8 +17,6 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.turns import coordinate_count
 from contactgraph.model.collision import (
-    ClosestApproachPrior,
-    DistancePrior,
     Geometry,
     NoCutoff,
     SmoothCutoff,
@@ -27,13 +27,12 @@ from contactgraph.model.contact_belief import (
     ContactSensor,
     GumbelSample,
     spread_over_types,
-    without_change,
 )
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
+from contactgraph.model.edge_inference import EdgeInference
+from contactgraph.model.features import Features, shaped
 from contactgraph.model.local_dynamics import (
-    FreeLinearDynamics,
+    LocalDynamics,
     SpringMassDamperDynamics,
     in_substeps,
     step_geometry,
@@ -72,9 +71,9 @@ class ContactDynamics(eqx.Module):
     """
 
     inference: EdgeInference
-    local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
-    features: InvariantFeatures | AbsoluteFeatures
-    prior: DistancePrior | ClosestApproachPrior
+    local_dynamics: LocalDynamics
+    features: Features
+    prior: Callable[[Geometry], Float[Array, " E"]]
     cutoff: SmoothCutoff | NoCutoff
     sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
@@ -151,11 +150,8 @@ class ContactDynamics(eqx.Module):
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         exists &= jnp.any(nodes.actuated[edges.edge_index], axis=0) | (not self.star)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        seen = edge_features
-        if isinstance(self.inference, TransitionEdges):
-            command = jnp.zeros(self.control_size) if command is None else command
-            last = command[self.control_size - self.inference.commands :]
-            seen = with_commands(edge_features, edge_geometry, nodes, last)
+        command = jnp.zeros(self.control_size) if command is None else command
+        seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, command)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         return EncodedGraph(
             position=position,
@@ -197,16 +193,12 @@ class ContactDynamics(eqx.Module):
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the step, and the probability of each pair of types before and after."""
         before = belief.over(graph.edge_id, pair_count(len(graph.position)))
-        if isinstance(self.inference, TransitionEdges):
-            free, joint = self.inference.predict_joint(before, graph.embedding, graph.prior)
-        else:
-            free = self.inference.predict(before, graph.embedding, graph.prior)
-            joint = without_change(free)
+        free, joint = self.inference.predict(before, graph.embedding, graph.prior)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
         types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
         cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
         joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
-        memory = None if free.memory is None else free.memory * graph.weight[:, None]
+        memory = jax.tree.map(lambda each: each * graph.weight[:, None], free.memory)
         return ContactBelief(types, graph.edge_id, memory), joint
 
     def cut_edges(
@@ -269,10 +261,9 @@ class ContactDynamics(eqx.Module):
         return head.actuation.drive(position, velocity, *given, head.slots)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
-        """The geometric prior, with a clock that has not run."""
-        size = getattr(self.inference, "carried_size", 0)
-        memory = jnp.zeros((graph.prior.shape[0], size), graph.prior.dtype) if size else None
-        return ContactBelief(graph.prior, graph.edge_id, memory)
+        """The belief of the inference before any observation."""
+        first = self.inference.init(graph.embedding, graph.prior)
+        return dataclasses.replace(first, edge_id=graph.edge_id)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes

@@ -19,8 +19,7 @@ from contactgraph.data import (
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import AbsoluteFeatures, turn_length_of
-from contactgraph.model.local_dynamics import FreeLinearDynamics
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.motion_likelihood import MotionNoise, check_motion_model, correct_by_motion
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.rollout import control_sensitivity, with_control_displacement
@@ -63,13 +62,12 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         raise InvalidInputError(
             f"the model is for bodies that turn, but {other} has no polygons, their outlines"
         )
-    hinged = isinstance(model.features, AbsoluteFeatures) and model.features.hinges
-    if hinged and not scene.has_hinges:
+    if model.features.hinges is True and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
             "each hinge"
         )
-    if scene.has_hinges and isinstance(model.features, AbsoluteFeatures) and not hinged:
+    if model.features.hinges is False and scene.has_hinges:
         raise InvalidInputError(
             f"the model has no hinges, but {other} has an anchor; train a model on such data"
         )
@@ -83,8 +81,8 @@ def check_controls(model: object, scene: Scene, control_size: int, other: str) -
     """
     if not isinstance(model, ContactDynamics):
         return
-    free = isinstance(model.local_dynamics, FreeLinearDynamics)
-    if control_size < scene.dimension and scene.actuated.any() and not free:
+    aligned = model.local_dynamics.axis_aligned
+    if control_size < scene.dimension and scene.actuated.any() and aligned:
         raise InvalidInputError(
             f"{other} has actuated nodes, but control size U {control_size}; it must be at least "
             f"D = {scene.dimension}, because component d of the control moves degree of freedom d "

@@ -1,15 +1,13 @@
-"""Heads: from messages on active edges to spring-mass-damper parameters of every node."""
+"""Starts of couplings, and the springs of hinged bodies."""
 
 import dataclasses
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from contactgraph.model.shapes import hinge_constraint
-from contactgraph.model.types import LocalInput, SpringMassDamper, Step, own_component
+from contactgraph.model.types import LocalInput, SpringMassDamper, Step
 
 _MIN_SHARE = 1e-6
 
@@ -63,41 +61,3 @@ def with_hinge_springs(
     return dataclasses.replace(
         sprung, impact_displacement=displacement + constraint.projection(position)
     )
-
-
-class PerDegreeHead(eqx.Module):
-    """The paper's head: free 1/m, k, c and equilibrium of every node and degree of freedom.
-
-    The equilibrium is relative to the node's hinge, or, where it has none, to its own position.
-    Parameters are positive.
-    """
-
-    node: eqx.nn.MLP
-    width: int = eqx.field(static=True)
-    dimension: int = eqx.field(static=True)
-
-    def __init__(self, width: int, dimension: int, *, key: PRNGKeyArray):
-        self.node = eqx.nn.MLP(width, 4 * dimension, width, 2, key=key)
-        self.width = width
-        self.dimension = dimension
-
-    def __call__(
-        self,
-        local: LocalInput,
-        embedding: Float[Array, "N W"],
-        message: Float[Array, "active 2 E W"],
-        step: Step,
-    ) -> SpringMassDamper:
-        """Parameters of every node at one step."""
-        out = jax.vmap(self.node)(embedding).reshape(-1, 4, self.dimension)
-        origin = local.position
-        if local.anchor is not None:
-            origin = jnp.where(jnp.isfinite(local.anchor), local.anchor, origin)
-        return SpringMassDamper(
-            response=own_component(5.0 * jax.nn.sigmoid(out[:, 0]), step.control_size),
-            stiffness_rate=5.0 * jax.nn.sigmoid(out[:, 1]),
-            damping_rate=5.0 * jax.nn.sigmoid(out[:, 2]),
-            equilibrium=origin + out[:, 3],
-            equilibrium_velocity=jnp.zeros_like(origin),
-            impact_displacement=jnp.zeros_like(origin),
-        )

@@ -1,25 +1,27 @@
 """Local dynamics: from the cut graph to one linear step of every node, by the theta method."""
 
 import dataclasses
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.collision import Geometry, geometry
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures
-from contactgraph.model.heads import PerDegreeHead
+from contactgraph.model.features import Features
 from contactgraph.model.message_passing import TypedMessagePassing
 from contactgraph.model.shapes import Meeting
 from contactgraph.model.types import LinearDynamics, LocalInput, Nodes, SpringMassDamper, Step
 
 
 def step_geometry(
-    features: InvariantFeatures | AbsoluteFeatures,
-    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
+    features: Features,
+    dynamics: "LocalDynamics",
     state: tuple[Float[Array, "N G"], Float[Array, "N G"]],
     nodes: Nodes,
     edge_index: Int[Array, "2 E"],
@@ -47,8 +49,8 @@ def step_geometry(
 
 
 def in_substeps(
-    features: InvariantFeatures | AbsoluteFeatures,
-    dynamics: "SpringMassDamperDynamics | FreeLinearDynamics",
+    features: Features,
+    dynamics: "LocalDynamics",
     local: LocalInput,
     dt: float,
     control_size: int,
@@ -140,11 +142,24 @@ class ThetaMethod(eqx.Module):
         return LinearDynamics(A, B, offset, unhindered, pins=parameters.pins)
 
 
-class SpringMassDamperDynamics(eqx.Module):
+class LocalDynamics(eqx.Module):
+    """One linear step of every node, given the active edges."""
+
+    message_passing: eqx.AbstractVar[Any]
+    axis_aligned: bool = eqx.field(static=True, default=True, kw_only=True)
+    """Whether component d of the control moves degree of freedom d, and further ones nothing."""
+
+    @abstractmethod
+    def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
+        """The linear step of `dt` [s] of every node."""
+
+
+class SpringMassDamperDynamics(LocalDynamics):
     """Messages over the active edges, then a spring-mass-damper for every node, then one step."""
 
     message_passing: TypedMessagePassing
-    head: ContactLaw | PerDegreeHead
+    head: Callable[..., SpringMassDamper]
+    """Messages to parameters of every node, such as a `ContactLaw`."""
     discretization: ThetaMethod
 
     def parameters(self, local: LocalInput, dt: float, control_size: int) -> SpringMassDamper:
@@ -162,39 +177,3 @@ class SpringMassDamperDynamics(eqx.Module):
             return linear
         turn_length = getattr(self.head, "turn_length", None)  # of bodies that turn in space
         return dataclasses.replace(linear, turn_length=turn_length)
-
-
-class FreeLinearDynamics(eqx.Module):
-    """Messages over the active edges, then free matrices for every node (the paper's Full-AB).
-
-    Nothing keeps these stable; they serve as a comparison.
-    """
-
-    message_passing: TypedMessagePassing
-    head: eqx.nn.MLP
-    dimension: int = eqx.field(static=True)
-    control_size: int = eqx.field(static=True)
-
-    def __init__(
-        self,
-        message_passing: TypedMessagePassing,
-        *,
-        dimension: int,
-        control_size: int,
-        key: PRNGKeyArray,
-    ):
-        width = message_passing.width
-        self.message_passing = message_passing
-        self.head = eqx.nn.MLP(width, dimension * (6 + 2 * control_size), width, 2, key=key)
-        self.dimension = dimension
-        self.control_size = control_size
-
-    def __call__(self, local: LocalInput, dt: float, control_size: int) -> LinearDynamics:
-        """The linear step of every node: the identity plus the network's output times dt."""
-        embedding, _ = self.message_passing(
-            local.node_features, local.edge_features, local.weight, local.geometry.edge_index
-        )
-        out = jax.vmap(self.head)(embedding)
-        out = out.reshape(-1, self.dimension, 2, 3 + self.control_size)
-        A = jnp.eye(2, dtype=out.dtype) + dt * out[..., :2]
-        return LinearDynamics(A=A, B=dt * out[..., 3:], offset=dt * out[..., 2])

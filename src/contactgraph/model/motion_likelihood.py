@@ -12,7 +12,6 @@ predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
 import dataclasses
-from abc import abstractmethod
 from functools import partial
 
 import jax
@@ -20,7 +19,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import (
     ContactBelief,
     cast_like,
@@ -41,30 +39,6 @@ _TOUCHING = 1.02
 """Contact distance of an edge assumed active, in units of its distance: clearly touching."""
 _LEAST_WEIGHT = 0.5
 """Of the cutoff, from which an edge is considered: bodies far beyond contact have none."""
-
-
-class TrajectoryModel(ContactDynamics):
-    """A model whose edges last, so that all of a trajectory tells them and is learned from."""
-
-    @abstractmethod
-    def with_motion(
-        self,
-        carried: ContactBelief,
-        before: ModelState,
-        control: Float[Array, " U"],
-        observed: Motion,
-        nodes: Nodes,
-        noise: MotionNoise,
-    ) -> ContactBelief:
-        """The belief after one more step."""
-
-    @abstractmethod
-    def trajectory_belief(self, trajectory: TrajectoryBatch[Array]) -> ContactBelief:
-        """The belief after the motion of all steps of one trajectory."""
-
-    @abstractmethod
-    def trajectory_loss(self, trajectory: TrajectoryBatch[Array]) -> Float[Array, ""]:
-        """What training minimises, of one trajectory, nat."""
 
 
 def motion_noise(
@@ -118,33 +92,24 @@ def correct_by_motion(
     """The belief about the step from ``before`` under the applied ``control`` [N] to ``observed``.
 
     ``before.belief`` is about the step that led to ``before``, corrected by all that was known
-    then. The result is ``carried``, as predicted, where one of the step's two observations is not
-    finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
-    its steps.
+    then. Edges are judged one by one, unless the model has a ``with_motion`` of its own, as that of
+    relations. The result is ``carried``, as predicted, where one of the step's two observations is
+    not finite: the first of a trajectory has none before it, and a bad one is no evidence for
+    either of its steps.
     """
-    usable = both_finite(before, observed)
-    if isinstance(model, TrajectoryModel):
-        corrected = model.with_motion(carried, before, control, observed, nodes, noise)
-    else:
-        corrected = _corrected(model, before, control, observed, nodes, noise)
+
+    def by_edge() -> ContactBelief:
+        sensitivity = control_sensitivity(model, before, nodes)
+        state = with_control_displacement(model, before, sensitivity, control, nodes)
+        graph = model.encode_state(state, nodes)
+        predicted, joint = model.predict_joint(state.belief, graph)
+        ratios = edge_log_ratios(model, graph, state, joint, control, observed, noise)
+        return posterior_by_motion(predicted, joint, ratios)
+
+    usable, own = both_finite(before, observed), getattr(model, "with_motion", None)
+    corrected = own(carried, before, control, observed, nodes, noise) if own else by_edge()
     corrected = cast_like(corrected, carried)
     return jax.tree.map(lambda new, old: jnp.where(usable, new, old), corrected, carried)
-
-
-def _corrected(
-    model: ContactDynamics,
-    before: ModelState,
-    control: Float[Array, " U"],
-    observed: Motion,
-    nodes: Nodes,
-    noise: MotionNoise,
-) -> ContactBelief:
-    sensitivity = control_sensitivity(model, before, nodes)
-    state = with_control_displacement(model, before, sensitivity, control, nodes)
-    graph = model.encode_state(state, nodes)
-    predicted, joint = model.predict_joint(state.belief, graph)
-    ratios = edge_log_ratios(model, graph, state, joint, control, observed, noise)
-    return posterior_by_motion(predicted, joint, ratios)
 
 
 def edge_log_ratios(

@@ -23,14 +23,7 @@ from contactgraph.model.collision import ClosestApproachPrior, NoCutoff, SmoothC
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edge_inference import (
-    AllEdges,
-    EdgeInference,
-    MemorylessEdges,
-    PriorEdges,
-    RecurrentEdges,
-    TransitionEdges,
-)
+from contactgraph.model.edge_inference import EdgeInference, PriorEdges, TransitionEdges
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.local_dynamics import (
     SpringMassDamperDynamics,
@@ -38,6 +31,7 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.model.paper import MemorylessEdges, RecurrentEdges
 
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""
@@ -173,12 +167,19 @@ def ours(
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
     noise: PredictionNoise | None = None
-    edges: EdgeInference = AllEdges()
+    edges: EdgeInference = PriorEdges(least=1.0)
     if filtered and config.identified:  # Nothing holds another, and outlines tell where they touch.
         edges = PriorEdges(config.edge_types)
     elif filtered:
-        sizes = size, features.node_types, config.control_size - driving
-        edges = _transitions(config, *sizes, messages_key, rates_key)
+        node_types, commands = features.node_types, config.control_size - driving
+        edges = TransitionEdges(
+            EdgeNetwork(size + 1 + commands + node_types, width, key=messages_key),
+            node_types=node_types,
+            edge_types=config.edge_types,
+            commands=commands,
+            min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
+            key=rates_key,
+        )
         noise = PredictionNoise(config.edge_types, distance)
     elif inference is not Inference.NONE:
         messages = EdgeNetwork(size, width, key=messages_key)
@@ -231,19 +232,6 @@ def _law(
     head = with_shapes(head, config.plane_distance, config.inertia, types)
     head = with_slowing(head, [config.slowing.get(name, (0.0, 0.0)) for name in types])
     return with_impacts(head, config.impacts, types)
-
-
-def _transitions(
-    config: ModelConfig, edge_size: int, node_types: int, commands: int, *keys: PRNGKeyArray
-) -> TransitionEdges:
-    return TransitionEdges(
-        EdgeNetwork(edge_size + 1 + commands + node_types, config.width or 32, key=keys[0]),
-        node_types=node_types,
-        edge_types=config.edge_types,
-        commands=commands,
-        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
-        key=keys[1],
-    )
 
 
 def default_cutoff(config: ModelConfig) -> SmoothCutoff:

@@ -137,7 +137,7 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
     def judge(graph: EncodedGraph, control: Array, after: Motion) -> Array:
         prior = model.prior_belief(graph)
         state = ModelState(graph.position, graph.velocity, prior)
-        joint = without_change(prior)
+        _, joint = without_change(prior)
         first = held_where_near(prior)
         return edge_log_ratios(model, graph, state, joint, control, after, noise, first)
 

@@ -14,7 +14,6 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.motion_noise import in_lengths
 
@@ -73,27 +72,22 @@ def in_data_units(model: ContactDynamics, fresh: ContactDynamics, units: Units) 
     arrays, static = eqx.partition(fresh, eqx.is_array)
     own = jax.tree.leaves(eqx.filter(model, eqx.is_array))
     learned = eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), own), static)
-    if not isinstance(inference, TransitionEdges):
 
-        def laid(each: Any) -> tuple[Any, ...]:
-            return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
+    def given(each: Any) -> tuple[Any, ...]:
+        return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
 
-        return eqx.tree_at(laid, learned, laid(fresh))
-    assert noise is not None and other is not None
-    first = inference.message_passing.network.layers[0].weight
+    moved = eqx.tree_at(given, learned, given(fresh))
+    if noise is None or other is None:
+        return moved
+
+    def by_unit(each: Any) -> tuple[Any, ...]:
+        return each.inference.message_passing.network.layers[0].weight, each.prediction_noise
+
+    weight, _ = by_unit(moved)
     begin = model.features.edge_size(model.dimension) + 1
-    commands = slice(begin, begin + inference.commands)
-    unit = jnp.asarray(units.control[len(units.control) - inference.commands :], first.dtype)
-
-    def parts(each: Any) -> tuple[Any, ...]:
-        head, passing = each.local_dynamics.head, each.inference.message_passing
-        weight = passing.network.layers[0].weight
-        return head.actuation, head.plane_distance, weight, each.prediction_noise
-
-    actuation, plane_distance, _, _ = parts(fresh)
-    by_command = first.at[:, commands].divide(unit)
-    in_data = in_lengths(noise, units.length, other)
-    moved = eqx.tree_at(parts, learned, (actuation, plane_distance, by_command, in_data))
+    unit = jnp.asarray(units.control[len(units.control) - inference.commands :], weight.dtype)
+    weight = weight.at[:, begin : begin + inference.commands].divide(unit)
+    moved = eqx.tree_at(by_unit, moved, (weight, in_lengths(noise, units.length, other)))
     if not isinstance(model.features, InvariantFeatures) or not model.features.learned:
         return moved
     distance = units.length * model.features.contact_distance

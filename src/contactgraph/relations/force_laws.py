@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.local_dynamics import ThetaMethod
+from contactgraph.model.local_dynamics import LocalDynamics, ThetaMethod
+from contactgraph.model.message_passing import EdgeNetwork
 from contactgraph.model.types import LinearDynamics, LocalInput, SpringMassDamper, own_component
 
 _SOFT = 0.1
@@ -70,6 +71,11 @@ class ForceLaws(eqx.Module):
         self.types = types
         self.share = jnp.ones((len(types), node_types, node_types))
 
+    @property
+    def networks(self) -> list[EdgeNetwork]:
+        """Those that make messages: none, since the laws are of the distance alone."""
+        return []
+
 
 class ExpectedTypes(eqx.Module):
     """The probabilities in the place of a sample: the mean force, where forces are linear in it."""
@@ -81,7 +87,7 @@ class ExpectedTypes(eqx.Module):
         return type_probability
 
 
-class RelationDynamics(eqx.Module):
+class RelationDynamics(LocalDynamics):
     """One linear step of every node under the force laws of its edges; see the module.
 
     ``length`` [m] is the unit of distances. The standard deviation of a predicted velocity is
