@@ -154,8 +154,7 @@ class ContactSensor(eqx.Module):
 
 def default_sensor(model: object) -> ContactSensor:
     """The sensor that a model was trained with, where it knows one; else an exact one."""
-    known = getattr(model, "sensor", None)
-    return known if isinstance(known, ContactSensor) else ContactSensor()
+    return getattr(model, "sensor", None) or ContactSensor()
 
 
 def late_rate(rate: float | Array, delay: int | Array) -> float | Array:

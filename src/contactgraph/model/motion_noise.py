@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.contact_belief import first_holding_type
 
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
@@ -104,7 +105,8 @@ class MotionNoise(eqx.Module):
         effect_x = share * _square(x, x[0]) + dt**2 * effect_v
         change_v = _UNIFORM**2 * _square(v[last], v[first])
         change_x = _UNIFORM**2 * _square(x[last], x[first]) + dt**2 * change_v
-        base_x, base_v = self._base(dt)
+        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
+        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
         variance_x = base_x + 0.5 * (effect_x[first] + effect_x[last]) + change_x
         changing_v = 0.5 * (effect_v[first] + effect_v[last]) + change_v
         variance_v = base_v + jnp.where(closes[:, None], effect_v[last], changing_v)
@@ -113,11 +115,11 @@ class MotionNoise(eqx.Module):
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
         # end in the last instant. Bodies side by side may touch for a part of the step only.
-        ends = (first >= min(2, types - 1)) & (first > last)
-        second = jnp.where(ends, first, last) * (types + 1)
-        second = jnp.where(ends | (first == 0), second, jnp.arange(types**2))
-        if types > 2:
-            second = second.at[types + 1].set(types)
+        holds = first >= first_holding_type(types)
+        throughout_first, throughout_last = first * (types + 1), last * (types + 1)
+        second = jnp.where(first == 0, throughout_last, jnp.arange(types**2))
+        second = jnp.where(holds & (first > last), throughout_first, second)
+        second = jnp.where((first > 0) & ~holds & (first == last), first * types, second)
         likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
@@ -125,12 +127,6 @@ class MotionNoise(eqx.Module):
         contrast = contrast + _square(middle[1], middle[1][best]) / base_v
         ratio = jnp.sum(_relevance(contrast, dimension) * (likelihood - likelihood[best]), axis=-1)
         return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
-
-    def _base(self, dt: float) -> tuple[Float[Array, "*N"] | float, Float[Array, "*N"] | float]:
-        """Variances of position, m^2, and velocity, m^2/s^2, without the share."""
-        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
-        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
-        return base_x, base_v
 
 
 _DRIFT = 1e-3
