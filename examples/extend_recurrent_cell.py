@@ -2,7 +2,7 @@
 
 Usage: python examples/extend_recurrent_cell.py
 
-An inference part has a field `edge_types` and two methods: `embed` sees the graph of one step,
+An `EdgeInference` has a field `edge_types` and two methods: `embed` sees the graph of one step,
 `predict` turns the last belief, an embedding and the geometric prior into the next belief.
 """
 
@@ -15,16 +15,18 @@ import jax.numpy as jnp
 from contactgraph.envs import PickupTask
 from contactgraph.model import (
     ContactBelief,
+    EdgeInference,
     EdgeNetwork,
     Inference,
     ModelConfig,
     ModelState,
     ours,
     scene_nodes,
+    without_change,
 )
 
 
-class LeakyEdges(eqx.Module):
+class LeakyEdges(EdgeInference):
     """A leaky integrator of the scores of the edge types, one for each edge."""
 
     messages: EdgeNetwork
@@ -38,10 +40,12 @@ class LeakyEdges(eqx.Module):
         return jax.vmap(self.output)(message[0] + message[1])
 
     def predict(self, belief, embedding, prior):
-        """The next belief: a share of the last log-probabilities, plus the scores."""
+        """The next belief: a share of the last log-probabilities, plus the scores. No edge changes
+        its type within a step."""
         share = jax.nn.sigmoid(self.leak)
         last = jnp.log(jnp.clip(belief.type_probability, 1e-6, 1.0))
-        return ContactBelief(jax.nn.softmax(share * last + (1.0 - share) * embedding, axis=-1))
+        types = jax.nn.softmax(share * last + (1.0 - share) * embedding, axis=-1)
+        return without_change(ContactBelief(types))
 
 
 config = ModelConfig(2, 2, 0.05, width=16)

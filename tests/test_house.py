@@ -31,6 +31,12 @@ MAY_IMPORT = {
         "contactgraph.model",
         "contactgraph.large_scenes",
     },
+    "contactgraph.relations": {
+        "contactgraph.data",
+        "contactgraph.bodies",
+        "contactgraph.model",
+        "contactgraph.train",
+    },
     "contactgraph.control": {
         "contactgraph.data",
         "contactgraph.bodies",
@@ -45,6 +51,9 @@ MAY_IMPORT = {
     "contactgraph.interchange": {"contactgraph.data"},
 }
 """Packages that stand below others, and the packages that each of them may import."""
+
+WINGS = {"contactgraph.relations"}
+"""Packages that a preset's name leads to, so that nobody reads them who does not use them."""
 
 LIBRARY_TOP = [
     *("contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot", "contactgraph.play"),
@@ -204,6 +213,16 @@ def line_count(path: Path) -> int:
 
 def test_imports_go_one_way() -> None:
     assert wrong_directions(read_imports(SRC)) == []
+
+
+@pytest.mark.parametrize("wing", sorted(WINGS))
+def test_nothing_imports_a_wing(wing: str) -> None:
+    imports = read_imports(SRC)
+    assert wing in imports
+    inside = {module for module in imports if package_of(module) == wing}
+    assert [
+        module for module, found in imports.items() if module not in inside and found & inside
+    ] == []
 
 
 def test_no_module_is_part_of_a_cycle() -> None:

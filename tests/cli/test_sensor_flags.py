@@ -143,7 +143,7 @@ def test_training_needs_contacts_and_a_filter_for_them(
 ) -> None:
     for data, model, said in (
         (bare, "ours", "1 of 2 trajectories have no contact field"),
-        (fresh, "ours-no-inference", "the model must be a filter (--model ours), found AllEdges"),
+        (fresh, "ours-no-inference", "the model must be a filter (--model ours), found PriorEdges"),
     ):
         command = ["train", data, "--out", "run", "--held-out", 0.5, "--model", model]
         error = mistake(*command, *flags)

@@ -10,7 +10,7 @@ from control_models import Clock, StickyBodies, nodes_of
 
 from contactgraph.control import ILQR, MPC, PlanStatus, chain_cost
 from contactgraph.data import InvalidInputError
-from contactgraph.model import MotionNoise, load_model, shipped_model
+from contactgraph.model import MotionNoise, load_model, motion_noise, shipped_model
 
 COST = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, (0.5, 0.4), node_count=2)
 PUSH = np.array([4.0, 0.0])
@@ -34,7 +34,7 @@ CLOCK = Clock()
 
 @pytest.fixture(scope="module")
 def inferring(model) -> MPC:
-    return MPC(model, ILQR(3, 1), motion_noise=MotionNoise(), deadline=0.01, clock=CLOCK)
+    return MPC(model, ILQR(3, 1), motion_noise=motion_noise(model), deadline=0.01, clock=CLOCK)
 
 
 def after_a_push(mpc: MPC, speeds, applied, contacts=None):
@@ -106,11 +106,7 @@ def test_without_it_nothing_but_measured_contacts_counts(model) -> None:
     _, state = mpc.step(observed([0.0, 0.0]), None, state)
     plan, after = mpc.step(observed([0.1, 0.1]), None, state)
     # Independent of earlier observations and controls.
-    carry = eqx.tree_at(
-        lambda m: (m.filter.before.position, m.filter.motion_log_odds),
-        state.carry,
-        replace_fn=jnp.ones_like,
-    )
+    carry = eqx.tree_at(lambda m: m.filter.before.position, state.carry, replace_fn=jnp.ones_like)
     forgetful = replace(state, carry=carry)
     other, _ = mpc.step(observed([0.1, 0.1]), None, forgetful, PUSH)
     assert eqx.tree_equal(plan, other)

@@ -21,9 +21,9 @@ from contactgraph.model import (
     full_ab,
     ours,
     paper_literal,
-    relations,
 )
 from contactgraph.model import PRESETS as NAMED
+from contactgraph.relations import relations
 
 DT = 0.05
 

@@ -11,10 +11,12 @@ from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
+    EdgeInference,
     LinearDynamics,
     ModelState,
     WithoutContacts,
     two_type_belief,
+    without_change,
 )
 
 
@@ -50,17 +52,14 @@ class RigidGroups(WithoutContacts):
         return LinearDynamics(A.astype(kind), B.astype(kind), offset.astype(kind))
 
 
-class Keeps(eqx.Module):
+class Keeps(EdgeInference):
     """Believes of the coming step what it believed of the last, times a factor."""
 
     factor: float = 1.0
     edge_types: int = eqx.field(static=True, default=2)
 
-    def embed(self, node, edge, weight, ends):
-        return jnp.zeros((weight.shape[0], 0), node.dtype)
-
-    def predict(self, belief: ContactBelief, embedding, prior) -> ContactBelief:
-        return two_type_belief(self.factor * belief.probability)
+    def predict(self, belief: ContactBelief, embedding, prior):
+        return without_change(two_type_belief(self.factor * belief.probability))
 
 
 def rigid_world(factor: float = 1.0) -> ContactDynamics:

@@ -12,7 +12,6 @@ from model_scenes import compiled
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
-    AllEdges,
     ArgmaxSample,
     ContactBelief,
     EdgeNetwork,
@@ -48,7 +47,7 @@ def recurrent() -> RecurrentEdges:
 
 def predicted(edges, probability, embedding):
     belief = two_type_belief(probability)
-    return edges.predict(belief, embedding, belief.type_probability).type_probability
+    return edges.predict(belief, embedding, belief.type_probability)[0].type_probability
 
 
 @settings(max_examples=100, deadline=None)
@@ -73,7 +72,7 @@ def test_recurrent_edges_can_be_sure(recurrent) -> None:
 def test_the_cell_is_a_gated_recurrent_unit(recurrent) -> None:
     """Against the equations, with the library's own cell as the judge."""
     cell = eqx.nn.GRUCell(WIDTH, 2, key=jax.random.PRNGKey(0))
-    mixed, hidden = recurrent.input, recurrent.hidden
+    mixed, hidden = recurrent.output, recurrent.hidden
     hidden_bias = np.asarray(hidden.bias)
     gates = np.where(np.arange(6) < 4, hidden_bias, 0.0)
     cell = eqx.tree_at(
@@ -84,7 +83,7 @@ def test_the_cell_is_a_gated_recurrent_unit(recurrent) -> None:
 
     @eqx.filter_jit
     def both(message, state):
-        found = recurrent.predict(ContactBelief(state[None]), mixed(message)[None], state[None])
+        found, _ = recurrent.predict(ContactBelief(state[None]), mixed(message)[None], state[None])
         expected = jax.nn.softmax(cell(message, state) / recurrent.temperature)
         return found.type_probability[0], expected
 
@@ -102,9 +101,9 @@ def test_memoryless_edges_ignore_the_belief() -> None:
 
 @pytest.mark.parametrize("types", [2, 3])
 def test_all_edges_are_surely_active(types) -> None:
-    edges = AllEdges(edge_types=types)
+    edges = PriorEdges(types, least=1.0)
     belief = ContactBelief(jnp.full((EDGES, types), 1.0 / types))
-    found = edges.predict(belief, edges.embed(*graph(), ENDS), belief.type_probability)
+    found, _ = edges.predict(belief, edges.embed(*graph(), ENDS), belief.type_probability)
     np.testing.assert_array_equal(found.type_probability, np.eye(types)[[1] * EDGES])
 
 
@@ -115,10 +114,9 @@ def test_prior_edges_forget_the_belief_and_put_all_of_the_prior_into_one_type(
     edges = PriorEdges(3, active_type)
     prior = jnp.tile(jnp.array([0.7, 0.15, 0.15]), (EDGES, 1))
     for certain in np.eye(3):
-        belief = ContactBelief(jnp.tile(certain, (EDGES, 1)), None, jnp.ones((EDGES, 1)))
-        found = edges.predict(belief, edges.embed(*graph(), ENDS), prior)
+        belief = ContactBelief(jnp.tile(certain, (EDGES, 1)))
+        found, _ = edges.predict(belief, edges.embed(*graph(), ENDS), prior)
         np.testing.assert_allclose(found.type_probability, [expected] * EDGES, rtol=1e-6)
-        assert not np.any(found.memory)
 
 
 def test_edge_inference_is_symmetric_in_the_end_nodes(recurrent) -> None:

@@ -1,6 +1,7 @@
 """Evidence of contact from motion: by hand, without information, and bounded."""
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,58 +13,79 @@ from motion_worlds import Keeps, in_a_row, observed_after, rigid_world
 
 from contactgraph.data import InvalidInputError
 from contactgraph.model import (
+    ContactBelief,
     ModelConfig,
     ModelState,
     MotionNoise,
     check_motion_model,
-    contact_log_likelihood_ratio,
+    control_sensitivity,
     correct_by_motion,
     ours,
     two_type_belief,
+    with_control_displacement,
 )
+from contactgraph.model.motion_likelihood import edge_log_ratios
 from contactgraph.model.motion_noise import PredictionNoise
 
 NOISE = MotionNoise()
 REST = jnp.zeros(2)
 PUSH = jnp.array([4.0, 0.0])  # N, along the row
 ONE = nodes_of(1)
-_judge = eqx.filter_jit(contact_log_likelihood_ratio)
 
 
-def judged(state, control, observed, noise=NOISE, log_odds=0.0, model=None, nodes=None):
+class Judged(NamedTuple):
+    predicted: ContactBelief
+    log_ratio: jax.Array
+    """Of each edge: active throughout the step, less inactive throughout."""
+    corrected: ContactBelief
+
+
+@eqx.filter_jit
+def _judge(model, state, control, observed, nodes, noise) -> Judged:
+    """`correct_by_motion`, and the evidence for it."""
+    sensitivity = control_sensitivity(model, state, nodes)
+    informed = with_control_displacement(model, state, sensitivity, control, nodes)
+    graph = model.encode_state(informed, nodes)
+    predicted, joint = model.predict_joint(state.belief, graph)
+    ratios = edge_log_ratios(model, graph, informed, joint, control, observed, noise)
+    corrected = correct_by_motion(model, predicted, state, control, observed, nodes, noise)
+    return Judged(predicted, ratios[:, 1, 1] - ratios[:, 0, 0], corrected)
+
+
+def judged(state, control, observed, noise=NOISE, model=None, nodes=None) -> Judged:
     nodes = nodes_of(len(state.position)) if nodes is None else nodes
-    log_odds = np.full(nodes.candidate.shape, log_odds)
     # Python numbers would be constants of the program: one program for each noise.
     noise = jax.tree.map(np.asarray, noise)
-    return _judge(model or rigid_world(), state, log_odds, control, observed, nodes, noise)
+    return _judge(model or rigid_world(), state, control, observed, nodes, noise)
 
 
-def by_hand(noise, difference, right_off=0.0):
-    """Of two bodies whose velocities two predictions have ``difference`` [m/s] apart, each."""
-    base_v, base_x = noise.model_velocity**2, noise.model_position**2
-    apart_v, apart_x = difference**2, (DT * difference) ** 2
-    varies_v = base_v + noise.model_share**2 * apart_v
-    varies_x = base_x + noise.model_share**2 * (apart_x + DT**2 * apart_v)
-    off = (difference - right_off) ** 2 * (1 / varies_v + DT**2 / varies_x)
-    off_right = right_off**2 * (1 / varies_v + DT**2 / varies_x)
-    counts = 1 - 2 / (apart_v / base_v + apart_x / base_x)
-    each = (noise.tail + 4) / 2 * (np.log1p(off / noise.tail) - np.log1p(off_right / noise.tail))
-    return 2 * counts * each
+def log_likelihood(noise, effect, off):
+    """Of one body whose velocity [m/s] contact changes by ``effect``, and which is ``off``."""
+    variance_v = noise.model_velocity**2 + (noise.type_share * effect) ** 2
+    variance_x = noise.model_position**2 + 2 * (noise.type_share * DT * effect) ** 2
+    error = off**2 / variance_v + (DT * off) ** 2 / variance_x
+    spread = np.log(variance_v) + np.log(variance_x)
+    return -(noise.tail + 4) / 2 * np.log1p(error / noise.tail) - spread
 
 
-@pytest.mark.parametrize("right_off", [0.0, 0.1])
-def test_an_impact_by_hand(right_off) -> None:
+def by_hand(noise, effect, moved):
+    """Of two bodies that contact moves by ``effect`` and that moved by ``moved`` [m/s]."""
+    contrast = (effect / noise.model_velocity) ** 2 + (DT * effect / noise.model_position) ** 2
+    active = log_likelihood(noise, effect, moved - effect)
+    return 2 * (1 - 2 / contrast) * (active - log_likelihood(noise, 0.0, moved))
+
+
+@pytest.mark.parametrize("moved", [0.5, 0.4, 0.0])
+def test_an_impact_by_hand(moved) -> None:
     # One body runs into another: together they go on at half its speed, or past it.
     noise = MotionNoise(max_log_ratio=100.0)
     state = in_a_row(2, [1.0, 0.0], 0.2)
-    together = judged(state, REST, observed_after(state, [0.5 + right_off, 0.5 - right_off]), noise)
-    assert together.log_ratio[0] == pytest.approx(by_hand(noise, 0.5, right_off), rel=1e-3)
-    past = judged(state, REST, observed_after(state, [1.0 - right_off, right_off]), noise)
-    assert past.log_ratio[0] == pytest.approx(-by_hand(noise, 0.5, right_off), rel=1e-3)
+    found = judged(state, REST, observed_after(state, [1.0 - moved, moved]), noise)
+    assert found.log_ratio[0] == pytest.approx(by_hand(noise, 0.5, moved), rel=1e-3)
     # Odds are those before, times the likelihoods' ratio.
-    odds = 0.25 * np.exp(float(together.log_ratio[0]))
-    assert together.corrected.probability[0] == pytest.approx(odds / (1 + odds), abs=1e-5)
-    assert past.corrected.probability[0] < 0.01
+    odds = 0.25 * np.exp(float(found.log_ratio[0]))
+    assert found.corrected.probability[0] == pytest.approx(odds / (1 + odds), abs=1e-5)
+    assert (found.corrected.probability[0] < 0.01) == (moved == 0.0)
 
 
 def test_equal_predictions_give_a_log_ratio_of_exactly_zero() -> None:
@@ -86,32 +108,30 @@ def test_a_load_is_evidence_of_contact(velocity, holds) -> None:
     found = judged(state, PUSH, observed_after(state, velocity))
     assert (found.corrected.probability[0] > 0.9) == holds
     assert (found.corrected.probability[0] < 0.1) != holds
-    assert (found.motion_log_odds[0] > 2) == holds
 
 
-def test_a_break_is_detected_at_once_and_not_remembered() -> None:
+def test_a_break_is_detected_at_once() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.9999)
-    found = judged(state, -PUSH, observed_after(state, [0.3, 0.5]), log_odds=NOISE.max_log_ratio)
-    assert found.predicted.probability[0] > 0.98
-    assert found.corrected.probability[0] < 0.5 and found.motion_log_odds[0] == 0.0
+    found = judged(state, -PUSH, observed_after(state, [0.3, 0.5]))
+    assert found.predicted.probability[0] > 0.98 and found.corrected.probability[0] < 0.5
 
 
 def test_unexplained_motion_is_weak_evidence() -> None:
     state = in_a_row(2, [0.5, 0.5], 0.95)
     position, velocity = observed_after(state, [0.6, 0.6])
-    unbounded = MotionNoise(max_log_ratio=100.0)
+    unbounded = MotionNoise(type_share=0.01, max_log_ratio=100.0)
     fits = judged(state, PUSH, (position, velocity), unbounded).log_ratio[0]
     # One body is observed far off: only the other one's evidence is left.
     wild = position.at[1].add(jnp.array([3.0, -2.0])), velocity.at[1].add(20.0)
     found = judged(state, PUSH, wild, unbounded)
     assert 0.4 * fits < found.log_ratio[0] < 0.6 * fits
     # Both are.
-    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), log_odds=NOISE.max_log_ratio)
-    assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
+    found = judged(state, PUSH, (position + 3.0, velocity - 20.0), unbounded)
+    assert abs(found.log_ratio[0]) < 0.05 * fits and found.corrected.probability[0] > 0.9
     # The step after: it begins where nothing was.
     jumped = dataclasses.replace(state, position=state.position + 3.0)
-    found = judged(jumped, PUSH, (position, velocity), log_odds=NOISE.max_log_ratio)
-    assert abs(found.log_ratio[0]) < 0.1 and found.corrected.probability[0] > 0.9
+    found = judged(jumped, PUSH, (position, velocity), unbounded)
+    assert abs(found.log_ratio[0]) < 0.05 * fits and found.corrected.probability[0] > 0.9
 
 
 def test_one_frame_never_saturates() -> None:
@@ -142,21 +162,6 @@ def test_explained_motion_is_no_evidence_for_another_contact() -> None:
     np.testing.assert_array_equal(found.corrected.probability > 0.5, [True, False, True])
 
 
-def test_only_evidence_from_motion_is_remembered() -> None:
-    forgets = rigid_world(factor=0.01)
-    state = in_a_row(2, [0.5, 0.5], 0.99)
-    observed = observed_after(state, [0.5, 0.5])
-    stay = np.exp(-DT / NOISE.time_constant)
-    log_odds = judged(state, REST, observed, log_odds=NOISE.max_log_ratio, model=forgets)
-    assert log_odds.corrected.probability[0] == pytest.approx(0.99 * stay, rel=1e-4)
-    assert log_odds.motion_log_odds[0] == pytest.approx(NOISE.max_log_ratio * stay)
-    assert judged(state, REST, observed, model=forgets).corrected.probability[0] < 0.02
-    # A contact that a sensor denied since is not raised again, whatever the evidence from motion.
-    denied = dataclasses.replace(state, belief=two_type_belief(jnp.array([0.1])))
-    found = judged(denied, REST, observed, log_odds=NOISE.max_log_ratio, model=forgets)
-    assert found.corrected.probability[0] <= 0.1
-
-
 @pytest.mark.parametrize("place", ["before", "after"])
 def test_a_step_with_an_invalid_observation_is_no_evidence(place) -> None:
     state = in_a_row(2, [1.0, 0.0], 0.4)
@@ -165,11 +170,10 @@ def test_a_step_with_an_invalid_observation_is_no_evidence(place) -> None:
         state = dataclasses.replace(state, velocity=state.velocity.at[0, 0].set(jnp.nan))
     else:
         position = position.at[1, 1].set(jnp.inf)
-    carried, log_odds = two_type_belief(jnp.array([0.25])), jnp.array([1.5])
-    arguments = (carried, state, log_odds, REST, (position, velocity), nodes_of(2), NOISE)
-    belief, kept = eqx.filter_jit(correct_by_motion)(rigid_world(), *arguments)
+    carried = two_type_belief(jnp.array([0.25]))
+    arguments = (carried, state, REST, (position, velocity), nodes_of(2), NOISE)
+    belief = eqx.filter_jit(correct_by_motion)(rigid_world(), *arguments)
     np.testing.assert_array_equal(belief.probability, [0.25])
-    np.testing.assert_array_equal(kept, log_odds)
 
 
 def test_padding_changes_nothing() -> None:
@@ -189,7 +193,7 @@ def test_a_single_body_has_no_edge_to_judge() -> None:
     found = judged(state, PUSH, (position, velocity), model=model, nodes=ONE)
     assert found.log_ratio.shape == (0,)
     assert found.corrected.type_probability.shape == (0, 3)
-    assert found.corrected.memory.shape == found.predicted.memory.shape
+    assert found.corrected.memory.age.shape == found.predicted.memory.age.shape == (0, 2)
 
 
 @pytest.mark.slow

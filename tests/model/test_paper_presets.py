@@ -18,7 +18,7 @@ from contactgraph.model import (
     SpringMassDamper,
 )
 from contactgraph.model.contact_belief import nothing_active
-from contactgraph.model.local_dynamics import FreeLinearDynamics
+from contactgraph.model.paper import FreeLinearDynamics
 from contactgraph.model.types import EncodedGraph
 
 CONFIG = ModelConfig(2, 2, DT, 0.1, width=8)
@@ -43,7 +43,7 @@ def weights(model: ContactDynamics) -> np.ndarray:
 def test_a_form_has_the_models_that_the_paper_compares(form: str) -> None:
     whole = made(form)
     assert type(made(f"{form}-non-temp").inference).__name__ == "MemorylessEdges"
-    assert type(made(f"{form}-no-gim").inference).__name__ == "AllEdges"
+    assert type(made(f"{form}-no-gim").inference).__name__ == "PriorEdges"
     assert isinstance(made(f"{form}-full-ab").local_dynamics, FreeLinearDynamics)
     assert whole.local_dynamics.discretization.learned == (form == "paper-local")
     assert type(whole.features).__name__ == "AbsoluteFeatures"

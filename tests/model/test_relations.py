@@ -14,10 +14,10 @@ from contactgraph.model import (
     ModelConfig,
     correct,
     motion_noise,
-    relations,
 )
 from contactgraph.model.filter import filter_trajectory
-from contactgraph.model.relations import (
+from contactgraph.relations import relations
+from contactgraph.relations.inference import (
     StaticEdges,
     edge_posterior,
     motion_sums,
@@ -97,7 +97,7 @@ def test_evidence_of_two_parts_is_that_of_the_whole_and_reports_count():
     rng = np.random.default_rng(2)
     edges = StaticEdges(1)
     known = np.stack([np.log([0.5, 0.5])] * 6)
-    first = edges.first_belief(jnp.asarray(np.hstack([known, np.ones((6, 1))])))
+    first = edges.init(jnp.asarray(np.hstack([known, np.ones((6, 1))])), jnp.exp(known))
     Phi = rng.normal(size=(8, 4, 2, 6))
     residual = Phi @ rng.integers(2, size=6) + rng.normal(size=(8, 4, 2))
     G, b = (
@@ -118,14 +118,18 @@ def test_evidence_of_two_parts_is_that_of_the_whole_and_reports_count():
     np.testing.assert_allclose(after.probability, [0.5, 0.5, 0.9, 0.5, 0.5, 0.5], rtol=1e-4)
 
 
+def believing(state, joined):
+    """The state with these probabilities [E] that edges are active."""
+    log_types = jnp.log(jnp.maximum(np.stack([1.0 - joined, joined], -1), 1e-9))
+    memory = dataclasses.replace(state.belief.memory, log_types=log_types)
+    return dataclasses.replace(state, belief=memory.belief())
+
+
 def test_a_step_is_the_midpoint_rule(springs):
     nodes = nodes_of(3)
     state = crowd(springs, nodes)
     p = np.array([1.0, 0.25, 0.0])
-    belief = dataclasses.replace(
-        state.belief, type_probability=jnp.asarray(np.stack([1 - p, p], -1))
-    )
-    state = dataclasses.replace(state, belief=belief)
+    state = believing(state, p)
     control = jnp.array([0.7, -0.2])
     after = compiled(springs.step, state, control, nodes)
     x, v = np.asarray(state.position), np.asarray(state.velocity)
@@ -144,10 +148,7 @@ def test_one_way_shares_move_the_receiver_alone(springs):
     share = np.array([[[0.0, 1.0], [0.0, 0.0]]])  # [receiver, sender]
     model = with_spring_law(springs, share)
     state = crowd(model, nodes)
-    certain = jnp.asarray([[0.0, 1.0]])
-    state = dataclasses.replace(
-        state, belief=dataclasses.replace(state.belief, type_probability=certain)
-    )
+    state = believing(state, np.ones(1))
     change = compiled(model.step, state, jnp.zeros(2), nodes).velocity - state.velocity
     np.testing.assert_allclose(change[0], 0.0, atol=1e-6)
     assert np.linalg.norm(change[1]) > 1e-3
@@ -169,10 +170,7 @@ def test_a_relation_is_active_within_its_range_alone(springs):
 def rolled_out(model, joined, steps, nodes, seed=0):
     """A trajectory of the model itself under the true types."""
     state = crowd(model, nodes, seed=seed, size=0.4)
-    types = jnp.asarray(np.stack([1.0 - joined, joined], -1))
-    state = dataclasses.replace(
-        state, belief=dataclasses.replace(state.belief, type_probability=types)
-    )
+    state = believing(state, joined)
     control = jnp.zeros((steps, 2))
     after = compiled(model.rollout, state, control, nodes)
     position = jnp.concatenate([state.position[None], after.position])

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from model_scenes import DT, compiled, nodes_of, slippery_bodies, with_random_weights
+from model_scenes import DT, assert_same, compiled, nodes_of, slippery_bodies, with_random_weights
 
 from contactgraph.data import InvalidInputError
 from contactgraph.large_scenes import NeighborList
@@ -25,7 +25,7 @@ from contactgraph.model import (
     ours,
 )
 from contactgraph.model.contact_belief import nothing_active, posterior_by_motion, without_change
-from contactgraph.model.edge_inference import PriorEdges
+from contactgraph.model.edge_inference import EdgeClock, PriorEdges
 from contactgraph.model.features import stillness
 
 STILL, NOTHING = jnp.zeros(2), nothing_active(3)
@@ -45,7 +45,8 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
 
 
 def belief(*types: float) -> ContactBelief:
-    return ContactBelief(jnp.array([types]), None, jnp.zeros((1, 8 + len(types))))
+    clock = EdgeClock(*(jnp.zeros((1, size)) for size in (1, 8, len(types) - 1)))
+    return ContactBelief(jnp.array([types]), memory=clock)
 
 
 def bounded(types: np.ndarray) -> np.ndarray:
@@ -55,7 +56,7 @@ def bounded(types: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("before", [(1.0, 0.0, 0.0), (0.2, 0.3, 0.5)])
 def test_fresh_transitions_are_the_geometric_prior(before) -> None:
     prior = np.array([[0.7, 0.2, 0.1]])
-    found = compiled(edges(3).predict, belief(*before), jnp.ones((1, 8)), jnp.asarray(prior))
+    found, _ = compiled(edges(3).predict, belief(*before), jnp.ones((1, 8)), jnp.asarray(prior))
     np.testing.assert_allclose(found.type_probability, bounded(prior), rtol=1e-6)
 
 
@@ -66,7 +67,7 @@ def test_a_row_of_rates_leads_from_its_own_type() -> None:
     prior = jnp.array([[0.5, 0.5]])
     kept = bounded(np.exp([4.0, 0.0]) / np.exp([4.0, 0.0]).sum())
     for before, expected in (((1.0, 0.0), kept), ((0.0, 1.0), kept[::-1])):
-        found = compiled(inference.predict, belief(*before), jnp.zeros((1, 8)), prior)
+        found, _ = compiled(inference.predict, belief(*before), jnp.zeros((1, 8)), prior)
         np.testing.assert_allclose(found.type_probability[0], expected, rtol=1e-6)
 
 
@@ -77,7 +78,7 @@ def test_rates_beyond_the_least_transition_can_return() -> None:
     def changes(rate: float) -> jax.Array:
         never = jnp.array([rate, 0.0, 0.0, 0.0])  # from inactive to inactive
         inference = eqx.tree_at(lambda each: each.rates.layers[-1].bias, edges(2), never)
-        after = inference.predict(belief(1.0, 0.0), jnp.zeros((1, 8)), prior)
+        after, _ = inference.predict(belief(1.0, 0.0), jnp.zeros((1, 8)), prior)
         return jnp.log(after.type_probability[0, 1])
 
     value, slope = compiled(jax.value_and_grad(changes), 40.0)
@@ -101,7 +102,7 @@ def test_motion_corrects_three_types_by_bayes_rule() -> None:
 
 
 def test_without_transitions_no_type_changes_within_a_step_and_none_is_impossible() -> None:
-    found = compiled(without_change, belief(0.999, 0.001), 0.01)
+    _, found = compiled(without_change, belief(0.999, 0.001))
     np.testing.assert_allclose(found[0], [[0.99, 0.0], [0.0, 0.01]], rtol=1e-6)
 
 
@@ -114,7 +115,6 @@ def test_a_sensor_of_holding_says_nothing_about_touch(reports_touch, likelihood)
     found = compiled(correct, belief(*before), jnp.array([1.0]), sensor)
     expected = before * likelihood
     np.testing.assert_allclose(found.type_probability[0], expected / expected.sum(), rtol=1e-6)
-    assert found.memory is not None
 
 
 def test_the_filter_is_exact_where_transitions_are_known() -> None:
@@ -130,7 +130,7 @@ def test_the_filter_is_exact_where_transitions_are_known() -> None:
     @eqx.filter_jit
     def filtered(state: ContactBelief, ratios: jax.Array) -> ContactBelief:
         for ratio in ratios:
-            predicted, joint = inference.predict_joint(state, jnp.zeros((1, 8)), jnp.asarray(prior))
+            predicted, joint = inference.predict(state, jnp.zeros((1, 8)), jnp.asarray(prior))
             state = posterior_by_motion(predicted, joint, ratio[None])
         return state
 
@@ -152,7 +152,7 @@ def test_an_age_is_expected_given_the_type_and_known_by_motion() -> None:
     corrected = belief(*first)
     for ratio in ratios:
         given = jnp.zeros((1, 8)), jnp.asarray(prior)[None]
-        predicted, joint = compiled(inference.predict_joint, corrected, *given)
+        predicted, joint = compiled(inference.predict, corrected, *given)
         corrected = compiled(posterior_by_motion, predicted, joint, jnp.asarray(ratio)[None])
     weight, steps = np.zeros(3), np.zeros(3)
     for path in itertools.product(range(3), repeat=4):
@@ -163,7 +163,7 @@ def test_an_age_is_expected_given_the_type_and_known_by_motion() -> None:
         weight[path[-1]] += likely
         steps[path[-1]] += likely * run
     np.testing.assert_allclose(corrected.type_probability[0], weight / weight.sum(), rtol=1e-6)
-    np.testing.assert_allclose(corrected.memory[0, -2:], (steps / weight)[1:], rtol=1e-6)
+    np.testing.assert_allclose(corrected.memory.age[0], (steps / weight)[1:], rtol=1e-6)
 
 
 def test_gradients_stay_finite_where_ages_are_of_improbable_types() -> None:
@@ -185,7 +185,7 @@ def test_gradients_stay_finite_where_ages_are_of_improbable_types() -> None:
     def score(embedding: jax.Array) -> jax.Array:
         def step(state: ContactBelief, embedding: jax.Array) -> tuple[ContactBelief, jax.Array]:
             prior = jnp.array([[1.0, 0.0, 0.0]], single)
-            predicted, joint = inference.predict_joint(state, embedding[None], prior)
+            predicted, joint = inference.predict(state, embedding[None], prior)
             after = posterior_by_motion(predicted, joint, free)
             return after, after.type_probability
 
@@ -209,18 +209,20 @@ def test_an_embedding_is_bounded_whatever_the_weights() -> None:
 def test_a_clock_runs_and_goes_from_list_to_list() -> None:
     inference = edges(3, seed=2)
     before = belief(0.2, 0.3, 0.5)
-    once = compiled(inference.predict, before, jnp.ones((1, 8)), before.type_probability)
-    twice = compiled(inference.predict, once, jnp.ones((1, 8)), before.type_probability)
-    assert np.abs(np.asarray(once.memory)).max() > 0.01
-    assert np.abs(np.asarray(twice.memory - once.memory)).max() > 1e-3
-    every = ContactBelief(
-        jnp.tile(jnp.array([0.1, 0.2, 0.7]), (6, 1)), None, jnp.arange(48.0).reshape(6, 8)
-    )
+    once, _ = compiled(inference.predict, before, jnp.ones((1, 8)), before.type_probability)
+    twice, _ = compiled(inference.predict, once, jnp.ones((1, 8)), before.type_probability)
+    assert np.abs(np.asarray(once.memory.hidden)).max() > 0.01
+    assert np.abs(np.asarray(twice.memory.hidden - once.memory.hidden)).max() > 1e-3
+    clock = EdgeClock(jnp.arange(6.0)[:, None], jnp.arange(24.0).reshape(6, 4), jnp.ones((6, 2)))
+    every = ContactBelief(jnp.tile(jnp.array([0.1, 0.2, 0.7]), (6, 1)), memory=clock)
     listed = every.over(jnp.array([1, 4, 6]), 6)
-    np.testing.assert_array_equal(listed.memory, [every.memory[1], every.memory[4], np.zeros(8)])
     back = listed.over(None, 6)
-    np.testing.assert_array_equal(back.memory[4], every.memory[4])
-    np.testing.assert_array_equal(back.memory[0], np.zeros(8))
+    for all_pairs, some, again in zip(
+        *(jax.tree.leaves(each.memory) for each in (every, listed, back)), strict=True
+    ):
+        np.testing.assert_array_equal(some, [all_pairs[1], all_pairs[4], 0.0 * all_pairs[0]])
+        np.testing.assert_array_equal(again[4], all_pairs[4])
+        np.testing.assert_array_equal(again[0], 0.0)
     np.testing.assert_array_equal(back.type_probability[0], [1.0, 0.0, 0.0])
 
 
@@ -234,15 +236,12 @@ def test_the_rates_know_for_how_long_nothing_was_observed() -> None:
         lambda each: each.rates.layers[-1].bias, inference, 2.0 * jnp.eye(2).reshape(-1)
     )
     before = belief(0.2, 0.8)
-    seen = compiled(inference.predict, before, jnp.zeros((1, 8)), before.type_probability)
-    steps = np.asarray(seen.memory)[:, 0]
-    np.testing.assert_array_equal(steps, 1.0)
-    np.testing.assert_array_equal(seen.observed.memory[:, 0], 0.0)
-    np.testing.assert_array_equal(seen.observed.memory[:, 1:], seen.memory[:, 1:])
+    seen, _ = compiled(inference.predict, before, jnp.zeros((1, 8)), before.type_probability)
+    np.testing.assert_array_equal(seen.memory.unobserved, 1.0)
+    np.testing.assert_array_equal(seen.observed.memory.unobserved, 0.0)
+    np.testing.assert_array_equal(seen.observed.memory.age, seen.memory.age)
     nothing = jnp.array([jnp.nan])
-    np.testing.assert_array_equal(
-        correct(seen, nothing, ContactSensor()).memory, seen.observed.memory
-    )
+    assert_same(correct(seen, nothing, ContactSensor()).memory, seen.observed.memory)
 
 
 def fresh(edge_types: int = 3) -> ContactDynamics:
@@ -324,9 +323,8 @@ def test_a_list_of_pairs_changes_no_prediction() -> None:
         return states.position, last.type_probability, last.memory
 
     every = compiled(rolled, model)
-    for one, other in zip(every, compiled(rolled, listed), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-9)
-    clocks = np.abs(np.asarray(every[2])).max(axis=1)
+    assert_same(every, compiled(rolled, listed), atol=1e-9)
+    clocks = np.asarray(every[2].unobserved)
     assert np.any(clocks == 0.0) and np.any(clocks > 0.0), "pairs beyond the cutoff have no clock"
 
 

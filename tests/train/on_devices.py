@@ -12,7 +12,7 @@ import numpy as np
 from training import split
 
 from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
-from contactgraph.model.serialization import module_arrays
+from contactgraph.model.io import module_arrays
 from contactgraph.train import FitState, TrainConfig, fit, initial_state
 
 CONFIG = TrainConfig(steps=12, batch_size=8, window_length=3, rollout_from=1.0, bystanders=0)

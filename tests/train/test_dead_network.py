@@ -15,7 +15,7 @@ from contactgraph.data import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab, paper_literal
+from contactgraph.model.paper.presets import PAPER_PRESETS, full_ab, paper_literal
 from contactgraph.model.presets import Preset
 from contactgraph.train import FitStatus
 from contactgraph.train.batch import Window, window_source

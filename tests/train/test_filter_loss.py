@@ -129,7 +129,8 @@ def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
         return corrected_beliefs(model, given, judge_steps(model, given))
 
     found = jax.tree.map(np.asarray, corrected(MODEL, windows()))
-    assert found.type_probability.shape == (2, 4, 1, 3) and found.memory.shape == (2, 4, 1, 8 + 3)
+    assert found.type_probability.shape == (2, 4, 1, 3)
+    assert found.memory.age.shape == (2, 4, 1, 2)
     assert found.type_probability[0, -1, 0, 0] < 0.5 < found.type_probability[1, -1, 0, 0]
     first = corrected(MODEL, windows().part(0, 2))
     np.testing.assert_allclose(found.type_probability[:, :2], first.type_probability, atol=1e-6)

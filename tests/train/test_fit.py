@@ -59,6 +59,7 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
 
 FIT = importlib.import_module("contactgraph.train.fit")
 ADVANCE = importlib.import_module("contactgraph.train.advance")
+LOSS = importlib.import_module("contactgraph.train.loss")
 """The module; the package has the function of the same name."""
 
 pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
@@ -228,7 +229,7 @@ def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
         return sum((jnp.sum(leaf**power) / power for leaf in leaves), jnp.zeros(()))
 
     monkeypatch.setattr(
-        ADVANCE, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
+        LOSS, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
     )
     monkeypatch.setattr(ADVANCE, "rollout_loss", lambda model, *rest: total(model, 2))
     monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
@@ -253,7 +254,7 @@ def test_a_learned_contact_distance_stays_positive(
     def pull(model: object, *rest: object) -> LossTerms:
         return LossTerms(model.features.contact_distance, 0, 0, 0)
 
-    monkeypatch.setattr(ADVANCE, "window_loss", pull)
+    monkeypatch.setattr(LOSS, "window_loss", pull)
     monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
     config = TrainConfig(
         steps=40, check_every=20, rollout_from=1.0, bystanders=0, learning_rate=0.01

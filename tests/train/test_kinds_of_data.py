@@ -9,8 +9,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import Scene, Trajectory, write_trajectories
-from contactgraph.model.io import load_model
-from contactgraph.model.serialization import module_arrays
+from contactgraph.model.io import load_model, module_arrays
 from contactgraph.train import RunFolder
 
 STEPS = 24

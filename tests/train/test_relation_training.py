@@ -1,4 +1,5 @@
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,8 @@ from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import collect
 from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
 from contactgraph.identify import relation_facts
-from contactgraph.model import ModelConfig, relations, scene_nodes
+from contactgraph.model import ModelConfig, scene_nodes
+from contactgraph.relations import relations, trajectory_belief
 from contactgraph.train import TrainConfig, fit, initial_state
 from contactgraph.train.batch import Window
 
@@ -48,7 +50,8 @@ def test_training_without_labels_finds_stiffness_and_springs(runs):
     windows = [_window(each) for each in bare[20:]]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *windows)
     whole = batch.trajectories(jnp.ones(batch.control.shape[:2], bool))
-    believed = np.asarray(jax.vmap(result.model.trajectory_belief)(whole).probability) > 0.5
+    belief = jax.vmap(partial(trajectory_belief, result.model))(whole)
+    believed = np.asarray(belief.probability) > 0.5
     first, second = pair_indices(5).T
     joined = [each.contact[0][first, second] for each in runs[20:]]
     assert np.mean(believed == np.stack(joined)) >= 0.975

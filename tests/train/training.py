@@ -13,7 +13,7 @@ import numpy as np
 
 from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
 from contactgraph.model import PRESETS, ModelConfig, Nodes
-from contactgraph.model.serialization import module_arrays
+from contactgraph.model.io import module_arrays
 from contactgraph.train import (
     FitProgress,
     FitResult,

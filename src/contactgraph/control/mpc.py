@@ -86,7 +86,7 @@ class MPC:
     A control step corrects the belief about the step just made by the contacts measured now (the
     paper's posterior), plans from there with the previous plan as the guess, and carries the belief
     that the model predicts for the coming step. With a ``motion_noise`` the observed motion
-    corrects the belief too: see `contact_log_likelihood_ratio`.
+    corrects the belief too: see `correct_by_motion`.
 
     The plan is about all nodes: `ActiveSetMPC` gives the same plans in scenes of many nodes in less
     time. Goals, weights, poses, contacts and the number of nodes within the capacity are arguments

@@ -37,7 +37,6 @@ from contactgraph.model import (
     ModelState,
     Nodes,
     StepModel,
-    TransitionEdges,
     take_step,
 )
 
@@ -50,7 +49,7 @@ def searches(model: StepModel) -> bool:
 def _commands(model: StepModel) -> int:
     """Number of the last components of the control, which move nothing, such as a gripper's."""
     assert isinstance(model, ContactDynamics)
-    return model.inference.commands if isinstance(model.inference, TransitionEdges) else 0
+    return model.inference.commands
 
 
 _ELITES = 8

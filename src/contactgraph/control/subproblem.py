@@ -152,7 +152,6 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
         ),
         control=known.control,
         predicted=belief(known.predicted, fresh),
-        motion_log_odds=_chosen(np.asarray(known.motion_log_odds), edge, np.zeros(1), -1),
         masses=jax.tree.map(
             lambda old, begun: nodes(old, np.asarray(begun), -1),
             *(known.masses, new.carry.filter.masses),

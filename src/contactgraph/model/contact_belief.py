@@ -1,18 +1,49 @@
 """Beliefs about contact: transitions, corrections by measurements and motion, and sampling."""
 
+from typing import Self
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
 
 _MIN_PROBABILITY = 1e-6
 _MIN_JOINT = 1e-12
-_UNBOUNDED = 0.1
-"""Share of the gradient that is kept beyond the least transition."""
+_LEAST_TYPE = 0.01
+"""Of a prediction without transitions, where motion contradicts it."""
 _CHANGE = 0.02
 """Probability a step that a contact begins or ends, as far as a late report is concerned."""
+
+
+class EdgeMemory(eqx.Module):
+    """State of the inference of every edge besides the types; this one holds nothing.
+
+    An inference that remembers has a class of its own, whose arrays are [*T, E, M] and are 0 where
+    an edge is not listed.
+    """
+
+    @property
+    def observed(self) -> Self:
+        """That of edges whose bodies have just been observed."""
+        return self
+
+    def after_motion(
+        self,
+        joint: Float[Array, "E K K"],
+        posterior: Float[Array, "E K K"],
+        evidence: Bool[Array, "E 1"],
+    ) -> Self:
+        """That after motion has led from ``joint``, the predicted pairs of types, to ``posterior``.
+
+        Motion says nothing about edges without ``evidence``.
+        """
+        return self
+
+    def after_report(self, before: Float[Array, "*T E K"], after: Float[Array, "*T E K"]) -> Self:
+        """That after a sensor's report has changed the probability of the types."""
+        return self
 
 
 class ContactBelief(eqx.Module):
@@ -26,9 +57,7 @@ class ContactBelief(eqx.Module):
     edge_id: Int[Array, "*T E"] | None = None
     """`Edges.edge_id` where only some pairs are listed; all others are inactive with certainty.
     None: all pairs, in `pair_indices`' order."""
-    memory: Float[Array, "*T E M"] | None = None
-    """State of the inference besides the types: the number of steps since the bodies were observed,
-    then a clock, which ends in the ages of active types. 0 where not listed; None: it has none."""
+    memory: EdgeMemory = EdgeMemory()
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
@@ -63,15 +92,13 @@ class ContactBelief(eqx.Module):
 
         if edge_id is None and self.edge_id is None:
             return self
-        memory = self.memory
-        memory = None if memory is None else moved(memory, jnp.zeros_like(memory[0]))
+        memory = jax.tree.map(lambda each: moved(each, jnp.zeros_like(each[0])), self.memory)
         return ContactBelief(moved(types, inactive), edge_id, memory)
 
     @property
     def observed(self) -> "ContactBelief":
         """The same about bodies that have just been observed."""
-        memory = None if self.memory is None else self.memory.at[..., 0].set(0.0)
-        return ContactBelief(self.type_probability, self.edge_id, memory)
+        return ContactBelief(self.type_probability, self.edge_id, self.memory.observed)
 
 
 def nothing_active(edge_types: int) -> ContactBelief:
@@ -92,7 +119,7 @@ def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
 def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
     """The belief in the floating type of another, which may be about other edges."""
     dtype = other.type_probability.dtype
-    memory = None if belief.memory is None else belief.memory.astype(dtype)
+    memory = jax.tree.map(lambda each: each.astype(dtype), belief.memory)
     return ContactBelief(belief.type_probability.astype(dtype), belief.edge_id, memory)
 
 
@@ -132,8 +159,7 @@ class ContactSensor(eqx.Module):
 
 def default_sensor(model: object) -> ContactSensor:
     """The sensor that a model was trained with, where it knows one; else an exact one."""
-    known = getattr(model, "sensor", None)
-    return known if isinstance(known, ContactSensor) else ContactSensor()
+    return getattr(model, "sensor", None) or ContactSensor()
 
 
 def late_rate(rate: float | Array, delay: int | Array) -> float | Array:
@@ -171,31 +197,12 @@ def correct(
     posterior = jnp.concatenate([inactive, active], axis=-1)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
-    return ContactBelief(types, belief.edge_id, belief.memory).observed
+    memory = belief.memory.after_report(belief.type_probability, types)
+    return ContactBelief(types, belief.edge_id, memory).observed
 
 
 def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:
     return rate if jnp.ndim(rate) == 0 else jnp.asarray(rate).at[edge_id].get(mode="clip")
-
-
-def bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
-    """Softmax, at least ``least``; a part of its gradient is that without the bound.
-
-    Beyond the bound logits have no effect, and without any gradient they would never return.
-    """
-    unbounded = jax.nn.log_softmax(logits)
-    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
-    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
-
-
-def kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E active"]:
-    """Probability that an edge had an active type before, too, if it has it now.
-
-    No gradient is taken: that of improbable types has no bound.
-    """
-    joint = jax.lax.stop_gradient(joint)
-    kept = jnp.einsum("eii->ei", joint)
-    return (kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY))[:, 1:]
 
 
 def spread_over_types(active: Float[Array, " E"], edge_types: int) -> Float[Array, "E K"]:
@@ -204,14 +211,15 @@ def spread_over_types(active: Float[Array, " E"], edge_types: int) -> Float[Arra
     return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
 
-def without_change(predicted: ContactBelief, error_floor: float = 0.0) -> Float[Array, "E K K"]:
-    """The probability of the pairs of types where no edge changes its type within the step.
+def without_change(predicted: ContactBelief) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+    """A prediction as of `EdgeInference.predict`, where no edge changes its type within the step.
 
-    No type is less probable than ``error_floor``: beyond their data networks are overconfident.
+    Of the pairs of types no equal one is less probable than 0.01: beyond their data networks are
+    overconfident.
     """
-    most = 1.0 - (predicted.edge_types - 1) * error_floor
-    types = jnp.clip(predicted.type_probability, error_floor, most)
-    return types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
+    most = 1.0 - (predicted.edge_types - 1) * _LEAST_TYPE
+    types = jnp.clip(predicted.type_probability, _LEAST_TYPE, most)
+    return predicted, types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
 
 
 def posterior_by_motion(
@@ -219,18 +227,12 @@ def posterior_by_motion(
 ) -> ContactBelief:
     """The belief corrected by `edge_log_ratios`; bit for bit as predicted where these are 0.
 
-    ``joint`` is the probability of the pairs of types that is predicted with it. Motion that speaks
-    for a change makes an age small.
+    ``joint`` is the probability of the pairs of types that is predicted with it.
     """
     pairs = pair_posterior(joint, log_ratios)
     evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
     after = jnp.where(evidence, jnp.sum(pairs, axis=1), predicted.type_probability)
-    memory, active = predicted.memory, joint.shape[-1] - 1
-    if memory is not None and memory.shape[-1] > active:
-        kept = kept_share(pairs) / jnp.maximum(kept_share(joint), _MIN_PROBABILITY)
-        age = memory[:, -active:]
-        age = jnp.where(evidence, 1.0 + (age - 1.0) * kept, age)
-        memory = memory.at[:, -active:].set(age.astype(memory.dtype))
+    memory = predicted.memory.after_motion(joint, pairs, evidence)
     return ContactBelief(after, predicted.edge_id, memory)
 
 

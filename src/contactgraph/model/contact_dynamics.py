@@ -6,6 +6,7 @@ the active edges), and the linear step. Training encodes all states at once, the
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -24,12 +25,9 @@ from contactgraph.model.contact_belief import (
     GumbelSample,
     nothing_active,
     spread_over_types,
-    without_change,
 )
-from contactgraph.model.edge_inference import EdgeInference, TransitionEdges
+from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.edges import (
-    ClosestApproachPrior,
-    DistancePrior,
     EdgeList,
     Edges,
     NoCutoff,
@@ -38,8 +36,8 @@ from contactgraph.model.edges import (
     edge_count,
     edge_nodes,
 )
-from contactgraph.model.features import AbsoluteFeatures, InvariantFeatures, shaped, with_commands
-from contactgraph.model.local_dynamics import FreeLinearDynamics, SpringMassDamperDynamics
+from contactgraph.model.features import Features, shaped
+from contactgraph.model.local_dynamics import LocalDynamics, SpringMassDamperDynamics
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.rollout import rollout, take_step
 from contactgraph.model.types import (
@@ -65,9 +63,9 @@ class ContactDynamics(eqx.Module):
     """
 
     inference: EdgeInference
-    local_dynamics: SpringMassDamperDynamics | FreeLinearDynamics
-    features: InvariantFeatures | AbsoluteFeatures
-    prior: DistancePrior | ClosestApproachPrior
+    local_dynamics: LocalDynamics
+    features: Features
+    prior: Callable[[Geometry], Float[Array, " E"]]
     cutoff: SmoothCutoff | NoCutoff
     sample: ArgmaxSample | GumbelSample
     dt: float = eqx.field(static=True)
@@ -157,10 +155,7 @@ class ContactDynamics(eqx.Module):
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         exists &= jnp.any(nodes.actuated[edges.edge_index], axis=0) | (not self.star)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        seen = edge_features
-        if isinstance(self.inference, TransitionEdges):
-            command = control[self.control_size - self.inference.commands :]
-            seen = with_commands(edge_features, edge_geometry, nodes, command)
+        seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, control)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         capacity = self.neighbor_list
         return EncodedGraph(
@@ -274,16 +269,12 @@ class ContactDynamics(eqx.Module):
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the step, and the probability of each pair of types before and after."""
         before = belief.over(graph.edge_id, pair_count(len(graph.position)))
-        if isinstance(self.inference, TransitionEdges):
-            free, joint = self.inference.predict_joint(before, graph.embedding, graph.prior)
-        else:
-            free = self.inference.predict(before, graph.embedding, graph.prior)
-            joint = without_change(free)
+        free, joint = self.inference.predict(before, graph.embedding, graph.prior)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
         types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
         cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
         joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
-        memory = None if free.memory is None else free.memory * graph.weight[:, None]
+        memory = jax.tree.map(lambda each: each * graph.weight[:, None], free.memory)
         return ContactBelief(types, graph.edge_id, memory), joint
 
     def cut_edges(
@@ -356,10 +347,9 @@ class ContactDynamics(eqx.Module):
         return self.encode(state.position, state.velocity, control, nodes, state.belief)
 
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
-        """The geometric prior, with a clock that has not run."""
-        size = getattr(self.inference, "carried_size", 0)
-        memory = jnp.zeros((graph.prior.shape[0], size), graph.prior.dtype) if size else None
-        return ContactBelief(graph.prior, graph.edge_id, memory)
+        """The belief of the inference before any observation."""
+        first = self.inference.init(graph.embedding, graph.prior)
+        return dataclasses.replace(first, edge_id=graph.edge_id)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes

@@ -1,30 +1,112 @@
-"""Inference of active edges, in five interchangeable forms.
+"""Inference of active edges, in interchangeable forms: see `EdgeInference`."""
 
-Each has ``embed`` (one step's graph to edge embeddings, independent of time) and ``predict``
-(belief about the last step, an embedding and the geometric prior to the belief about the next one).
-The split keeps the expensive part out of the loop over time. Another recurrent cell is another
-class with these two methods and a field ``edge_types``: see ``examples/extend_recurrent_cell.py``.
-"""
+import dataclasses
+from abc import abstractmethod
+from typing import Self, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from contactgraph.model.contact_belief import ContactBelief, bounded_softmax, kept_share
+from contactgraph.bodies.geometry import Geometry
+from contactgraph.model.contact_belief import ContactBelief, EdgeMemory
+from contactgraph.model.features import with_commands
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
+from contactgraph.model.types import Nodes
 
 _MEMORY = 8
 """Size of an edge's clock."""
-_MIN_PRIOR = 1e-6
+_MIN_PROBABILITY = 1e-6
+_UNBOUNDED = 0.1
+"""Share of the gradient that is kept beyond the least transition."""
 _AGES = np.array([*range(1, 13), 15, 19, 24, 30, 37, 46, 58]) - 0.5
 """Ages, in steps, that the rates are told to be exceeded or not: a duration may be exact."""
 _BLIND = 5.0
 """Steps without observation for which the input of the rates is one half."""
 
 
-class TransitionEdges(eqx.Module):
+class EdgeInference(eqx.Module):
+    """Beliefs about the types of edges, from step to step.
+
+    ``embed`` turns one step's graph into edge embeddings, independent of time; ``predict`` turns
+    the belief about the last step, an embedding and the geometric prior into the belief about the
+    next one. The split keeps the expensive part out of the loop over time. Another recurrent cell
+    is another class with these two methods and a field ``edge_types``: see
+    ``examples/extend_recurrent_cell.py``. All else has a default.
+    """
+
+    edge_types: eqx.AbstractVar[int]
+    commands: int = eqx.field(static=True, default=0, kw_only=True)
+    """Last components of the control that are features of the edges of actuated nodes."""
+
+    def embed(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        edge_index: Int[Array, "2 E"],
+    ) -> Float[Array, "E M"]:
+        """What one step's graph tells about every edge, by default nothing; ``edge`` are
+        `edge_inputs`."""
+        return jnp.zeros((weight.shape[0], 0), node.dtype)
+
+    @abstractmethod
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+        """The belief about the next step, and the probability of each pair of types before and
+        after; `without_change` makes these of a belief alone."""
+
+    def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
+        """The belief before the first observation: by default the geometric prior."""
+        return ContactBelief(prior)
+
+    @property
+    def networks(self) -> list[MessagePassing | EdgeNetwork]:
+        """Those whose messages decide about edges."""
+        return []
+
+    def edge_inputs(
+        self,
+        features: Float[Array, "2 E F"],
+        geometry: Geometry,
+        nodes: Nodes,
+        command: Float[Array, " U"],
+    ) -> Float[Array, "2 E G"]:
+        """What `embed` is given of every edge: by default the model's edge ``features`` alone."""
+        return features
+
+
+class EdgeClock(EdgeMemory):
+    """Memory of `TransitionEdges`."""
+
+    unobserved: Float[Array, "*T E 1"]
+    """Steps since the bodies were observed."""
+    hidden: Float[Array, "*T E H"]
+    """State of the gated cell."""
+    age: Float[Array, "*T E active"]
+    """Expected number of steps for which an edge has had each active type if it has it."""
+
+    @property
+    def observed(self) -> Self:
+        """That of edges whose bodies have just been observed."""
+        return dataclasses.replace(self, unobserved=jnp.zeros_like(self.unobserved))
+
+    def after_motion(
+        self,
+        joint: Float[Array, "E K K"],
+        posterior: Float[Array, "E K K"],
+        evidence: Bool[Array, "E 1"],
+    ) -> Self:
+        """Motion that speaks for a change makes an age small."""
+        kept = _kept_share(posterior) / jnp.maximum(_kept_share(joint), _MIN_PROBABILITY)
+        age = jnp.where(evidence, 1.0 + (self.age - 1.0) * kept, self.age)
+        return dataclasses.replace(self, age=age.astype(self.age.dtype))
+
+
+class TransitionEdges(EdgeInference):
     r"""A hidden Markov filter for every edge, with learned transitions and a clock.
 
     With the geometric prior q of the step, features f of the edge and the clock h,
@@ -48,8 +130,6 @@ class TransitionEdges(eqx.Module):
     edge_types: int = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
     memory_size: int = eqx.field(static=True)
-    commands: int = eqx.field(static=True)
-    """Components of the control that are features of the edges of actuated nodes."""
     min_transition: float = eqx.field(static=True)
     """Least probability of any transition in a step: no type is certain to last, or to change."""
 
@@ -85,9 +165,19 @@ class TransitionEdges(eqx.Module):
         self.min_transition = min_transition
 
     @property
-    def carried_size(self) -> int:
-        """Size of `ContactBelief.memory`: steps unobserved, hidden state, ages."""
-        return self.memory_size + self.edge_types
+    def networks(self) -> list[MessagePassing | EdgeNetwork]:
+        """Those whose messages decide about edges."""
+        return [self.message_passing]
+
+    def edge_inputs(
+        self,
+        features: Float[Array, "2 E F"],
+        geometry: Geometry,
+        nodes: Nodes,
+        command: Float[Array, " U"],
+    ) -> Float[Array, "2 E G"]:
+        """The model's edge features, stillness, and the commands on actuated ends."""
+        return with_commands(features, geometry, nodes, command[len(command) - self.commands :])
 
     def embed(
         self,
@@ -103,177 +193,68 @@ class TransitionEdges(eqx.Module):
         # Unbounded, it grows a thousandfold in training, and the rates with it.
         return message[0] / jnp.sqrt(1.0 + jnp.mean(message[0] ** 2, axis=-1, keepdims=True))
 
+    def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
+        """The geometric prior, with a clock that has not run."""
+        edges, types = prior.shape
+        sizes = 1, self.memory_size, types - 1
+        clock = EdgeClock(*(jnp.zeros((edges, size), prior.dtype) for size in sizes))
+        return ContactBelief(prior, memory=clock)
+
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
-    ) -> ContactBelief:
-        """The belief about the next step, and its clock."""
-        return self.predict_joint(belief, embedding, prior)[0]
-
-    def predict_joint(
-        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
-        """The same, and the probability of each pair of types before and after."""
-        before, clock = belief.type_probability, belief.memory
-        assert clock is not None, "a belief of this inference has a clock"
-        unobserved, hidden, age = jnp.split(clock, [1, 1 + self.memory_size], axis=-1)
-        hidden = jax.vmap(self.cell)(before, hidden)
+        """The belief about the next step with its clock, and the probability of pairs of types."""
+        before, clock = belief.type_probability, cast(EdgeClock, belief.memory)
+        unobserved, age = clock.unobserved, clock.age
+        hidden = jax.vmap(self.cell)(before, clock.hidden)
         ages = jnp.tile(jnp.asarray(_AGES, age.dtype), self.edge_types - 1)
         exceeded = jax.nn.sigmoid(4.0 * (jnp.repeat(age, len(_AGES), axis=-1) - ages))
         blind = unobserved / (unobserved + _BLIND)
         known = jnp.concatenate([embedding, hidden, exceeded, blind, blind * before], axis=-1)
         rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)
-        logits = jnp.log(jnp.maximum(prior, _MIN_PRIOR))[:, None, :] + rates
-        joint = before[:, :, None] * bounded_softmax(logits, self.min_transition)
-        memory = jnp.concatenate([unobserved + 1.0, hidden, 1.0 + age * kept_share(joint)], axis=-1)
-        return ContactBelief(jnp.sum(joint, axis=1), belief.edge_id, memory), joint
+        logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, :] + rates
+        joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
+        clock = EdgeClock(unobserved + 1.0, hidden, 1.0 + age * _kept_share(joint))
+        return ContactBelief(jnp.sum(joint, axis=1), memory=clock), joint
 
 
-class RecurrentEdges(eqx.Module):
-    """Messages in space, then one gated recurrent cell per edge in time (the paper's GIM-Temp).
+def _bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
+    """Softmax, at least ``least``; a part of its gradient is that without the bound.
 
-    The belief itself is the recurrent state, so a corrected belief changes later predictions.
+    Beyond the bound logits have no effect, and without any gradient they would never return.
     """
-
-    message_passing: MessagePassing | EdgeNetwork
-    input: eqx.nn.Linear
-    hidden: eqx.nn.Linear
-    edge_types: int = eqx.field(static=True)
-    temperature: float = eqx.field(static=True)
-
-    def __init__(
-        self,
-        message_passing: MessagePassing | EdgeNetwork,
-        *,
-        edge_types: int = 2,
-        temperature: float = 0.15,
-        key: PRNGKeyArray,
-    ):
-        """`temperature` divides the cell's state before the softmax; at 1 no edge is certain."""
-        keys = jax.random.split(key)
-        self.message_passing = message_passing
-        self.input = eqx.nn.Linear(message_passing.width, 3 * edge_types, key=keys[0])
-        self.hidden = eqx.nn.Linear(edge_types, 3 * edge_types, key=keys[1])
-        self.edge_types = edge_types
-        self.temperature = temperature
-
-    def embed(
-        self,
-        node: Float[Array, "N F"],
-        edge: Float[Array, "2 E G"],
-        weight: Float[Array, " E"],
-        edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E M"]:
-        """Input of the recurrent cell, for every edge of one step's graph."""
-        return _edge_embedding(self.message_passing, self.input, node, edge, weight, edge_index)
-
-    def predict(
-        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
-    ) -> ContactBelief:
-        """The belief about the next step."""
-        state = belief.type_probability
-        reset_in, update_in, new_in = jnp.split(embedding, 3, axis=-1)
-        mixed = jax.vmap(self.hidden)(state)
-        reset_mixed, update_mixed, new_mixed = jnp.split(mixed, 3, axis=-1)
-        reset = jax.nn.sigmoid(reset_in + reset_mixed)
-        update = jax.nn.sigmoid(update_in + update_mixed)
-        new = jnp.tanh(new_in + reset * new_mixed)
-        state = (1.0 - update) * new + update * state
-        return ContactBelief(jax.nn.softmax(state / self.temperature, axis=-1))
+    unbounded = jax.nn.log_softmax(logits)
+    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
+    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
 
 
-class MemorylessEdges(eqx.Module):
-    """Messages in space only, without memory (the paper's GIM-Non-Temp)."""
+def _kept_share(joint: Float[Array, "E K K"]) -> Float[Array, "E active"]:
+    """Probability that an edge had an active type before, too, if it has it now.
 
-    message_passing: MessagePassing | EdgeNetwork
-    output: eqx.nn.Linear
-    edge_types: int = eqx.field(static=True)
-
-    def __init__(
-        self,
-        message_passing: MessagePassing | EdgeNetwork,
-        *,
-        edge_types: int = 2,
-        key: PRNGKeyArray,
-    ):
-        self.message_passing = message_passing
-        self.output = eqx.nn.Linear(message_passing.width, edge_types, key=key)
-        self.edge_types = edge_types
-
-    def embed(
-        self,
-        node: Float[Array, "N F"],
-        edge: Float[Array, "2 E G"],
-        weight: Float[Array, " E"],
-        edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E K"]:
-        """Scores of the edge types, for every edge of one step's graph."""
-        return _edge_embedding(self.message_passing, self.output, node, edge, weight, edge_index)
-
-    def predict(
-        self, belief: ContactBelief, embedding: Float[Array, "E K"], prior: Float[Array, "E K"]
-    ) -> ContactBelief:
-        """The belief about the next step, independent of the old one."""
-        return ContactBelief(jax.nn.softmax(embedding, axis=-1))
+    No gradient is taken: that of improbable types has no bound.
+    """
+    joint = jax.lax.stop_gradient(joint)
+    kept = jnp.einsum("eii->ei", joint)
+    return (kept / jnp.maximum(jnp.sum(joint, axis=1), _MIN_PROBABILITY))[:, 1:]
 
 
-class _WithoutMessages(eqx.Module):
-    edge_types: int = eqx.field(static=True, default=2)
-
-    def embed(
-        self,
-        node: Float[Array, "N F"],
-        edge: Float[Array, "2 E G"],
-        weight: Float[Array, " E"],
-        edge_index: Int[Array, "2 E"],
-    ) -> Float[Array, "E 0"]:
-        """Nothing to embed."""
-        return jnp.zeros((weight.shape[0], 0), node.dtype)
-
-
-class AllEdges(_WithoutMessages):
-    """Every edge active at every step (the paper's No-GIM)."""
-
-    def predict(
-        self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]
-    ) -> ContactBelief:
-        """Certainty that every edge is active (of the first active type)."""
-        certain = jnp.zeros_like(belief.type_probability).at[..., 1].set(1.0)
-        return ContactBelief(certain)
-
-
-class PriorEdges(_WithoutMessages):
+class PriorEdges(EdgeInference):
     """The geometric prior alone, as an ablation of inference: no belief survives a step.
 
     The prior knows no types, so all of its active part is of one. Corrections still apply to the
-    step just made.
+    step just made. With ``least`` 1 every edge is active at every step (the paper's No-GIM).
     """
 
+    edge_types: int = eqx.field(static=True, default=2)
     active_type: int = eqx.field(static=True, default=1)
-    carried_size: int = eqx.field(static=True, default=1)
-    """Of a memory that stays 0. Without a memory the correction by motion would have its own."""
+    least: float = eqx.field(static=True, default=0.0)
+    """Probability that an edge is active whatever its prior."""
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E 0"], prior: Float[Array, "E K"]
-    ) -> ContactBelief:
-        """The prior, independent of the old belief."""
-        active = jnp.sum(prior[:, 1:], axis=-1)
-        types = jnp.zeros_like(prior).at[:, 0].set(prior[:, 0])
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+        """The prior; pairs of equal types, none of which motion makes possible if it is not."""
+        active = self.least + (1.0 - self.least) * jnp.sum(prior[:, 1:], axis=-1)
+        types = jnp.zeros_like(prior).at[:, 0].set((1.0 - self.least) * prior[:, 0])
         types = types.at[:, self.active_type].set(active)
-        memory = jnp.zeros((prior.shape[0], self.carried_size), prior.dtype)
-        return ContactBelief(types, belief.edge_id, memory)
-
-
-def _edge_embedding(
-    message_passing: MessagePassing | EdgeNetwork,
-    output: eqx.nn.Linear,
-    node: Float[Array, "N F"],
-    edge: Float[Array, "2 E G"],
-    weight: Float[Array, " E"],
-    edge_index: Int[Array, "2 E"],
-) -> Float[Array, "E out"]:
-    _, message = message_passing(node, edge, weight, edge_index)
-    # Contact is symmetric: the two directions are summed before anything is decided.
-    return jax.vmap(output)(message[0] + message[1])
-
-
-EdgeInference = TransitionEdges | RecurrentEdges | MemorylessEdges | AllEdges | PriorEdges
+        return ContactBelief(types), types[:, :, None] * jnp.eye(self.edge_types, dtype=types.dtype)

@@ -87,29 +87,6 @@ def edge_count(neighbor_list: EdgeList | None, node_count: int) -> int:
     return pair_count(node_count) if neighbor_list is None else neighbor_list.max_edges
 
 
-class DistancePrior(eqx.Module):
-    r"""The paper's prior: probability of contact from the present distance $d$ of two nodes.
-
-    $$ q = \sigma\big( 2 (d_{th} - d) / s \big), \qquad
-       s = s_\text{inside}\ (d < d_{th}),\ s_\text{outside}\ (d \ge d_{th}) $$
-
-    With both scales 1 m it is the paper's text; its authors' prior is ten times as sharp inside.
-    """
-
-    threshold: float = eqx.field(static=True, default=0.1)
-    """$d_{th}$, m."""
-    inside: float = eqx.field(static=True, default=0.1)
-    """Scale below the threshold, m."""
-    outside: float = eqx.field(static=True, default=1.0)
-    """Scale above the threshold, m."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        margin = self.threshold - geometry.distance
-        scale = jnp.where(margin > 0, self.inside, self.outside)
-        return jax.nn.sigmoid(2.0 * margin / scale)
-
-
 class ClosestApproachPrior(eqx.Module):
     r"""Probability of contact from the closest approach of two nodes within the step.
 

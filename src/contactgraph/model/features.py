@@ -1,5 +1,7 @@
 """Features of nodes and edges, the inputs of the networks."""
 
+from abc import abstractmethod
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,61 @@ _STILL = 0.02
 """Approach in a step, in contact distances, of bodies at rest with each other."""
 
 
-class InvariantFeatures(eqx.Module):
+class Features(eqx.Module):
+    """Features of nodes and edges; the defaults are those of round bodies of unnamed types."""
+
+    contact_distance: eqx.AbstractVar[Float[Array, ""] | float]
+    """m, centre to centre, or to a bar's middle line."""
+    speed: float = eqx.field(static=True, default=1.0, kw_only=True)
+    """Unit of speeds, m/s."""
+    types: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+    """Names of the node types, passive ones first."""
+    boxes: bool = eqx.field(static=True, default=False, kw_only=True)
+    """Whether nodes that have a size are boxes along the axes."""
+    turn_length: float | None = eqx.field(static=True, default=None, kw_only=True)
+    """See `generalized_coordinates`, m. None: no body turns."""
+
+    @property
+    def hinges(self) -> bool | None:
+        """Whether bodies are on hinges. None: whether or not."""
+        return None
+
+    @abstractmethod
+    def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
+        """One-hot."""
+
+    @abstractmethod
+    def edge_size(self, dimension: int) -> int:
+        """Number of features an edge."""
+
+    @abstractmethod
+    def node(
+        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+    ) -> Float[Array, "N F"]:
+        """Features of every node."""
+
+    @abstractmethod
+    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
+        """Features of every edge, for the messages to its first and to its second node."""
+
+    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
+        """1 for bodies that turn, else 0."""
+        return jnp.zeros(nodes.mask.shape, dtype)
+
+    def meeting(
+        self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
+    ) -> Meeting:
+        """The places at which nodes `shaped` meet."""
+        return meeting(position, edge_index, nodes.anchor, nodes.half_size)
+
+    def distances(
+        self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
+    ) -> Float[Array, "*E"] | float:
+        """The contact distance of every edge, m, or one for all."""
+        return self.contact_distance
+
+
+class InvariantFeatures(Features):
     """Features that no rotation, reflection or translation of the scene changes.
 
     Node: its type and its speed. Edge: the
@@ -39,12 +95,8 @@ class InvariantFeatures(eqx.Module):
     """Logarithm of each type's part of the contact distance, in units of `_PACE`; 0: half of it.
     None: types have no names."""
     length: float = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
     learned: bool = eqx.field(static=True)
-    types: tuple[str, ...] = eqx.field(static=True)
-    boxes: bool = eqx.field(static=True)
     turning: tuple[str, ...] = eqx.field(static=True)
-    turn_length: float | None = eqx.field(static=True)
     margin: float = eqx.field(static=True)
 
     def __init__(
@@ -90,7 +142,7 @@ class InvariantFeatures(eqx.Module):
         Nodes whose types are not told have the first, actuated ones the last.
         """
         if not self.types:
-            return _node_type(nodes, False, dtype)
+            return jax.nn.one_hot(nodes.actuated.astype(int), 2, dtype=dtype)
         if nodes.type_id is None:
             index = jnp.where(nodes.actuated, len(self.types) - 1, 0)
             return jax.nn.one_hot(index, len(self.types), dtype=dtype)
@@ -162,85 +214,6 @@ class InvariantFeatures(eqx.Module):
         return jnp.stack([features, features])
 
 
-class AbsoluteFeatures(eqx.Module):
-    """The paper's features: position, velocity and type of a node; distance of an edge."""
-
-    contact_distance: float = eqx.field(static=True, default=0.1)
-    """m, centre to centre; these features do not use it."""
-    hinges: bool = eqx.field(static=True, default=False)
-    """Whether nodes may be hinged; the radius vector from the hinge is a feature then."""
-
-    @property
-    def speed(self) -> float:
-        """Unit of speeds, m/s."""
-        return 1.0
-
-    @property
-    def types(self) -> tuple[str, ...]:
-        """Names of node types: none."""
-        return ()
-
-    @property
-    def boxes(self) -> bool:
-        """Whether nodes that have a size are boxes."""
-        return False
-
-    @property
-    def turn_length(self) -> float | None:
-        """None: no body turns."""
-        return None
-
-    def turns(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, " N"]:
-        """0: no body turns."""
-        return jnp.zeros(nodes.mask.shape, dtype)
-
-    def meeting(
-        self, nodes: Nodes, position: Float[Array, "N G"], edge_index: Int[Array, "2 E"]
-    ) -> Meeting:
-        """Where round bodies meet, and bars."""
-        return meeting(position, edge_index, nodes.anchor, nodes.half_size)
-
-    @property
-    def node_types(self) -> int:
-        """Number of node types."""
-        return 4 if self.hinges else 2
-
-    def node_type(self, nodes: Nodes, dtype: DTypeLike) -> Float[Array, "N node_types"]:
-        """One-hot: actuated or not; times hinged or not, where there are hinges."""
-        return _node_type(nodes, self.hinges, dtype)
-
-    def distances(
-        self, nodes: Nodes, edge_index: Int[Array, "2 E"], dtype: DTypeLike
-    ) -> Float[Array, "*E"] | float:
-        """The contact distance, m, of all edges."""
-        return self.contact_distance
-
-    def node_size(self, dimension: int) -> int:
-        """Number of features a node."""
-        return 2 * dimension + self.node_types + self.hinges * dimension
-
-    def edge_size(self, dimension: int) -> int:
-        """Number of features an edge."""
-        return 1
-
-    def node(
-        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
-    ) -> Float[Array, "N F"]:
-        """Features of every node."""
-        features = [position, velocity, self.node_type(nodes, position.dtype)]
-        if self.hinges and nodes.anchor is not None:
-            hinged = nodes.hinged[:, None]
-            features.append(jnp.where(hinged, position - jnp.nan_to_num(nodes.anchor), 0.0))
-        elif self.hinges:
-            features.append(jnp.zeros_like(position))
-        return jnp.concatenate(features, axis=-1)
-
-    def edge(self, geometry: Geometry) -> Float[Array, "2 E F"]:
-        """Features of every edge, for the messages to its first and to its second node."""
-        features = geometry.distance[:, None]
-        return jnp.stack([features, features])
-
-
 def stillness(geometry: Geometry) -> Float[Array, "*B E"]:
     """1 where the bodies of an edge do not approach each other within the step, else down to 0."""
     touch = jax.lax.stop_gradient(geometry.contact_distance)
@@ -265,7 +238,7 @@ def turn_length_of(model: object) -> float | None:
     return getattr(getattr(model, "features", None), "turn_length", None)
 
 
-def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures, dimension: int) -> Nodes:
+def shaped(nodes: Nodes, features: Features, dimension: int) -> Nodes:
     """The nodes with those shapes that a model of such features uses."""
     if not features.boxes:
         nodes = nodes._replace(half_size=None)
@@ -274,10 +247,3 @@ def shaped(nodes: Nodes, features: InvariantFeatures | AbsoluteFeatures, dimensi
     nodes = apart_from_pins(nodes)
     points = jnp.zeros((len(nodes.mask), 1, 1, *((2,) if dimension == 2 else (5, 3))))
     return nodes._replace(outlines=points if nodes.outlines is None else nodes.outlines)
-
-
-def _node_type(nodes: Nodes, hinges: bool, dtype: DTypeLike) -> Float[Array, "N node_types"]:
-    node_type = nodes.actuated.astype(int)
-    if hinges:
-        node_type = node_type + 2 * nodes.hinged.astype(int)
-    return jax.nn.one_hot(node_type, 4 if hinges else 2, dtype=dtype)

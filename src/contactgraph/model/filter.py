@@ -19,8 +19,7 @@ from contactgraph.data import (
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import AbsoluteFeatures, turn_length_of
-from contactgraph.model.local_dynamics import FreeLinearDynamics
+from contactgraph.model.features import turn_length_of
 from contactgraph.model.motion_likelihood import check_motion_model, correct_by_motion
 from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel
@@ -62,13 +61,12 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         raise InvalidInputError(
             f"the model is for bodies that turn, but {other} has no polygons, their outlines"
         )
-    hinged = isinstance(model.features, AbsoluteFeatures) and model.features.hinges
-    if hinged and not scene.has_hinges:
+    if model.features.hinges is True and not scene.has_hinges:
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
             "each hinge"
         )
-    if scene.has_hinges and isinstance(model.features, AbsoluteFeatures) and not hinged:
+    if model.features.hinges is False and scene.has_hinges:
         raise InvalidInputError(
             f"the model has no hinges, but {other} has an anchor; train a model on such data"
         )
@@ -82,8 +80,8 @@ def check_controls(model: object, scene: Scene, control_size: int, other: str) -
     """
     if not isinstance(model, ContactDynamics):
         return
-    free = isinstance(model.local_dynamics, FreeLinearDynamics)
-    if control_size < scene.dimension and scene.actuated.any() and not free:
+    aligned = model.local_dynamics.axis_aligned
+    if control_size < scene.dimension and scene.actuated.any() and aligned:
         raise InvalidInputError(
             f"{other} has actuated nodes, but control size U {control_size}; it must be at least "
             f"D = {scene.dimension}, because component d of the control moves degree of freedom d "
@@ -143,8 +141,6 @@ class FilterState(eqx.Module):
     """N, of the step since."""
     predicted: ContactBelief
     """About that step."""
-    motion_log_odds: Float[Array, " E"]
-    """See `MotionEvidence`."""
     masses: MassBelief | None
     """By the motion so far. None: bodies of a type weigh alike."""
 
@@ -158,9 +154,8 @@ def first_filter_state(
 ) -> FilterState:
     """Before the observation of this first state: the model's first belief about it."""
     belief = model.initial_belief(position, velocity, nodes)
-    nan, odds = jnp.full_like(position, jnp.nan), jnp.zeros(nodes.candidate.shape, velocity.dtype)
-    before = ModelState(nan, nan, belief)
-    return FilterState(before, control, belief, odds, first_masses(model, nodes))
+    nan = jnp.full_like(position, jnp.nan)
+    return FilterState(ModelState(nan, nan, belief), control, belief, first_masses(model, nodes))
 
 
 def update(
@@ -178,15 +173,15 @@ def update(
     ``control`` [N] acted in the step since the last observation. In the result it is to be replaced
     by that of the next step, and the belief by the one predicted for that step.
     """
-    before, belief, odds = state.before, state.predicted, state.motion_log_odds
+    before, belief = state.before, state.predicted
     nodes = with_masses(nodes, state.masses)
-    made = control, observed, nodes
     if noise is not None:
-        judge, given = check_motion_model(model), (*made, noise)
-        belief, odds = correct_by_motion(judge, belief, before, odds, *given)
+        judge = check_motion_model(model)
+        belief = correct_by_motion(judge, belief, before, control, observed, nodes, noise)
     belief = correct(belief, contact, sensor)
-    masses = correct_masses(model, state.masses, before, belief, *made, noise)
-    return FilterState(ModelState(*observed, belief), control, belief, odds, masses)
+    masses = state.masses
+    masses = correct_masses(model, masses, before, belief, control, observed, nodes, noise)
+    return FilterState(ModelState(*observed, belief), control, belief, masses)
 
 
 def filter_trajectory(

@@ -1,16 +1,16 @@
-"""Heads: from messages on active edges to spring-mass-damper parameters of every node."""
+"""Starts of couplings, and the springs of hinged bodies."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int
 
 from contactgraph.bodies.geometry import sum_at_nodes
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper, own_component
+from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
 
 _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
@@ -147,57 +147,16 @@ class WithoutContacts(eqx.Module):
         """Velocity of every node, m/s, after a step of ``dt`` [s] in which nothing acts on it."""
         return velocity
 
-    def control_displacement(self, *given: object, **step: object) -> None:
+    def control_displacement(self, *given: Any, **step: Any) -> Float[Array, "N G"] | None:
         """See `ContactLaw.control_displacement`; None: it is left out of account."""
+        return None
 
     def retract(
         self,
         graph: EncodedGraph,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
-        *,
-        dt: float,
-        theta: Array | None = None,
+        **step: Any,
     ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
         """See `ContactLaw.retract`: as they are."""
         return position, velocity
-
-
-class PerDegreeHead(WithoutContacts):
-    """The paper's head: free 1/m, k, c and equilibrium of every node and degree of freedom.
-
-    The equilibrium is relative to the node's hinge, or, where it has none, to its own position.
-    Parameters are positive.
-    """
-
-    node: eqx.nn.MLP
-    width: int = eqx.field(static=True)
-    dimension: int = eqx.field(static=True)
-
-    def __init__(self, width: int, dimension: int, *, key: PRNGKeyArray):
-        self.node = eqx.nn.MLP(width, 4 * dimension, width, 2, key=key)
-        self.width = width
-        self.dimension = dimension
-
-    def __call__(
-        self,
-        graph: EncodedGraph,
-        embedding: Float[Array, "N W"],
-        message: Float[Array, "active 2 E W"],
-        *,
-        theta: Array,
-        dt: float,
-    ) -> SpringMassDamper:
-        """Parameters of every node at one step."""
-        out = jax.vmap(self.node)(embedding).reshape(-1, 4, self.dimension)
-        origin, anchor = graph.position, graph.nodes.anchor
-        if anchor is not None:
-            origin = jnp.where(jnp.isfinite(anchor), anchor, origin)
-        return SpringMassDamper(
-            response=own_component(5.0 * jax.nn.sigmoid(out[:, 0]), graph.control.shape[0]),
-            stiffness_rate=5.0 * jax.nn.sigmoid(out[:, 1]),
-            damping_rate=5.0 * jax.nn.sigmoid(out[:, 2]),
-            equilibrium=origin + out[:, 3],
-            equilibrium_velocity=jnp.zeros_like(origin),
-            impact_displacement=jnp.zeros_like(origin),
-        )

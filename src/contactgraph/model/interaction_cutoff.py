@@ -4,9 +4,7 @@ import dataclasses
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edge_inference import AllEdges, PriorEdges
 from contactgraph.model.edges import SmoothCutoff
-from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.model.message_passing import EdgeNetwork
 
 
@@ -33,15 +31,10 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     """
     if not isinstance(model, ContactDynamics) or not isinstance(model.cutoff, SmoothCutoff):
         return None
-    dynamics, inference = model.local_dynamics, model.inference
-    if not isinstance(dynamics, SpringMassDamperDynamics):
-        return None
-    networks = list(dynamics.message_passing.types)
-    if not isinstance(inference, AllEdges | PriorEdges):
-        networks.append(inference.message_passing)
+    networks = [*model.local_dynamics.message_passing.networks, *model.inference.networks]
     if not all(isinstance(network, EdgeNetwork) for network in networks):
         return None
-    head = dynamics.head
+    head = getattr(model.local_dynamics, "head", None)
     if not isinstance(head, ContactLaw) or head.turn_length is not None:  # pins join far bodies
         return None
     return InteractionCutoff(model.cutoff.outer, model.dt)

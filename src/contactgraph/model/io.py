@@ -1,16 +1,18 @@
 """Model files: a preset, its configuration, and arrays (safetensors with a JSON header)."""
 
 import hashlib
+import importlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 import safetensors
@@ -21,7 +23,7 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.json_fields import parse_json
 from contactgraph.model.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.paper_presets import PAPER_PRESETS, full_ab
+from contactgraph.model.paper.presets import PAPER_PRESETS, full_ab
 from contactgraph.model.presets import (
     Impacts,
     Inference,
@@ -29,8 +31,6 @@ from contactgraph.model.presets import (
     Preset,
     ours,
 )
-from contactgraph.model.relation_model import relations
-from contactgraph.model.serialization import module_arrays, with_arrays
 
 FORMAT = "contactgraph-model"
 VERSION = 3
@@ -48,10 +48,15 @@ PRESETS: dict[str, Preset] = {
     "ours-memoryless": partial(ours, inference=Inference.MEMORYLESS),
     "ours-no-inference": partial(ours, inference=Inference.NONE),
     "ours-full-ab": full_ab,
-    "relations": relations,
+    # Nothing imports this package, so that nobody reads it who does not use it.
+    "relations": lambda config, *, key: importlib.import_module("contactgraph.relations").relations(
+        config, key=key
+    ),
     **PAPER_PRESETS,
 }
 """By the names in files and commands."""
+
+_Tree = TypeVar("_Tree")
 
 
 class _Sensor(TypedDict):
@@ -312,6 +317,63 @@ def _of_dtype(shapes: ContactDynamics, dtype: np.dtype) -> ContactDynamics:
         return jax.ShapeDtypeStruct(leaf.shape, dtype) if abstract else leaf
 
     return jax.tree.map(change, shapes)
+
+
+def module_arrays(tree: Any) -> dict[str, np.ndarray]:
+    """Every array of a tree (modules, optimiser states, lists, …) by its path, dtypes kept.
+
+    A path reads like ``inference.message_passing.steps.0.edge.weight``. Other leaves are left out.
+    Raises `InvalidInputError` where a leaf is a typed random key or two paths read the same.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if not _is_array(leaf):
+            continue
+        name = _name(path)
+        if name in arrays:
+            raise InvalidInputError(f"array {name!r}: two paths of the tree have this name")
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            raise InvalidInputError(
+                f"array {name!r} is a typed random key, must be plain numbers (jax.random.key_data)"
+            )
+        arrays[name] = np.asarray(leaf, order="C")
+    return arrays
+
+
+def with_arrays(tree: _Tree, arrays: Mapping[str, np.ndarray], where: str) -> _Tree:
+    """The tree with its arrays replaced by those of `module_arrays`.
+
+    The tree's own arrays, or `jax.ShapeDtypeStruct`, determine shapes and dtypes. Raises
+    `InvalidInputError`, starting with `where`, for an array that is missing, unknown or unfit.
+    """
+    left = dict(arrays)
+
+    def replace(path: tuple[Any, ...], leaf: Any) -> Any:
+        if not (_is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)):
+            return leaf
+        name = _name(path)
+        if name not in left:
+            raise InvalidInputError(f"{where}: array {name!r} is missing")
+        array = left.pop(name)
+        if array.shape != leaf.shape or array.dtype != leaf.dtype:
+            raise InvalidInputError(
+                f"{where}: array {name!r} must be {leaf.dtype} of shape {leaf.shape}, "
+                f"found {array.dtype} of shape {array.shape}"
+            )
+        return jax.device_put(array)  # `jnp.asarray` would compile a program for every shape.
+
+    filled = jax.tree_util.tree_map_with_path(replace, tree)
+    if left:
+        raise InvalidInputError(f"{where}: array {min(left)!r} is not part of it")
+    return filled
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+
+
+def _name(path: tuple[Any, ...]) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 _FOLDER = Path(__file__).resolve().parent.parent / "pretrained"

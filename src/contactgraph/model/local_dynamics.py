@@ -1,15 +1,15 @@
 """Local dynamics: from the cut graph to one linear step of every node, by the theta method."""
 
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.heads import PerDegreeHead, WithoutContacts
+from contactgraph.model.heads import WithoutContacts
 from contactgraph.model.message_passing import TypedMessagePassing
 from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper
 
@@ -66,11 +66,24 @@ class ThetaMethod(eqx.Module):
         return LinearDynamics(A, B, offset)
 
 
-class SpringMassDamperDynamics(eqx.Module):
+class LocalDynamics(WithoutContacts):
+    """One linear step of every node, given the active edges."""
+
+    message_passing: eqx.AbstractVar[Any]
+    axis_aligned: bool = eqx.field(static=True, default=True, kw_only=True)
+    """Whether component d of the control moves degree of freedom d, and further ones nothing."""
+
+    @abstractmethod
+    def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
+        """The linear step of `dt` [s] of every node."""
+
+
+class SpringMassDamperDynamics(LocalDynamics):
     """Messages over the active edges, then a spring-mass-damper for every node, then one step."""
 
     message_passing: TypedMessagePassing
-    head: ContactLaw | PerDegreeHead
+    head: Any
+    """Messages to parameters of every node, such as a `ContactLaw`."""
     discretization: ThetaMethod
 
     def parameters(self, graph: EncodedGraph, dt: float) -> SpringMassDamper:
@@ -97,44 +110,8 @@ class SpringMassDamperDynamics(eqx.Module):
         graph: EncodedGraph,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
-        *,
-        dt: float,
+        **step: Any,
     ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
         """See `ContactLaw.retract`."""
-        return self.head.retract(graph, position, velocity, theta=self.discretization.theta, dt=dt)
-
-
-class FreeLinearDynamics(WithoutContacts):
-    """Messages over the active edges, then free matrices for every node (the paper's Full-AB).
-
-    Nothing keeps these stable; they serve as a comparison.
-    """
-
-    message_passing: TypedMessagePassing
-    head: eqx.nn.MLP
-    dimension: int = eqx.field(static=True)
-    control_size: int = eqx.field(static=True)
-
-    def __init__(
-        self,
-        message_passing: TypedMessagePassing,
-        *,
-        dimension: int,
-        control_size: int,
-        key: PRNGKeyArray,
-    ):
-        width = message_passing.width
-        self.message_passing = message_passing
-        self.head = eqx.nn.MLP(width, dimension * (6 + 2 * control_size), width, 2, key=key)
-        self.dimension = dimension
-        self.control_size = control_size
-
-    def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
-        """The linear step of every node: the identity plus the network's output times dt."""
-        embedding, _ = self.message_passing(
-            graph.node_features, graph.edge_features, graph.active, graph.geometry.edge_index
-        )
-        out = jax.vmap(self.head)(embedding)
-        out = out.reshape(-1, self.dimension, 2, 3 + self.control_size)
-        A = jnp.eye(2, dtype=out.dtype) + dt * out[..., :2]
-        return LinearDynamics(A=A, B=dt * out[..., 3:], offset=dt * out[..., 2])
+        theta = self.discretization.theta
+        return self.head.retract(graph, position, velocity, theta=theta, **step)

@@ -132,6 +132,11 @@ class TypedMessagePassing(eqx.Module):
         self.types = list(types)
 
     @property
+    def networks(self) -> list[MessagePassing | EdgeNetwork]:
+        """Those that make the messages."""
+        return self.types
+
+    @property
     def width(self) -> int:
         """Size of an embedding."""
         return self.types[0].width

@@ -1,39 +1,30 @@
-r"""Contact without a sensor: likelihood of the observed motion with and without each edge.
+r"""Contact without a sensor: likelihood of the observed motion with each type of each edge.
 
-For an edge e, the model predicts the last step twice, with the edge active and without it, all
-others as is most probable; the evidence is how much better one fits the observation,
+For an edge e, the model predicts the last step with each of its types, all others as is most
+probable. The evidence is how well each pair of types (i at first, j in the end) fits the
+observation beside the edge without contact,
 
-$$ \ell_e = \log p(x_{t+1} | x_t, u_t, e\ \text{active})
+$$ \ell_{ij} = \log p(x_{t+1} | x_t, u_t, e: i \to j)
    - \log p(x_{t+1} | x_t, u_t, e\ \text{inactive}), $$
 
-and the belief's log-odds become the predicted ones plus $\ell_e$. Where both predictions are
-the same motion, $\ell_e = 0$, and the belief stays as predicted.
-
-The prediction is the model's, from the belief before, with a memory: a contact that motion has
-supported persists, as in a hidden Markov model, with the probability $e^{-dt/\tau}$ a step,
-however improbable its distance makes it. Otherwise a model whose contact distance is a few
-millimetres off would forget a contact as soon as nothing accelerates. Contacts without support by
-motion are remembered by the model alone.
+and the predicted probabilities of the pairs are multiplied by $e^{\ell_{ij}}$. Where all
+predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
-from abc import abstractmethod
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model.contact_belief import (
     ContactBelief,
     cast_like,
     likeliest_type,
     pair_posterior,
     posterior_by_motion,
-    without_change,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_noise import Motion, MotionNoise
@@ -42,46 +33,8 @@ from contactgraph.model.types import EncodedGraph, ModelState, Nodes
 _CONSIDERED = 8
 """Edges considered in a step, nearest first: rarely do more bodies make contact at once, and the
 cost of a control step must not grow with the square of the number of bodies."""
-_MIN_PROBABILITY = 1e-6
 _LEAST_WEIGHT = 0.5
 """Of the cutoff, from which an edge is considered: bodies far beyond contact have none."""
-
-
-class MotionEvidence(eqx.Module):
-    """Evidence of one observed step about every edge."""
-
-    predicted: ContactBelief
-    """[E, K] about the step, from the belief before it and the control applied in it."""
-    log_ratio: Float[Array, " E"]
-    """Log-likelihood of the motion with the edge active less that without; 0: no evidence."""
-    motion_log_odds: Float[Array, " E"]
-    """Log-odds, at least 0, of contact by the motion of recent steps: the filter's memory."""
-    corrected: ContactBelief
-    """[E, K] by `log_ratio`; bit for bit as predicted where that is 0."""
-
-
-class TrajectoryModel(ContactDynamics):
-    """A model whose edges last, so that all of a trajectory tells them and is learned from."""
-
-    @abstractmethod
-    def with_motion(
-        self,
-        carried: ContactBelief,
-        before: ModelState,
-        control: Float[Array, " U"],
-        observed: Motion,
-        nodes: Nodes,
-        noise: MotionNoise,
-    ) -> ContactBelief:
-        """The belief after one more step."""
-
-    @abstractmethod
-    def trajectory_belief(self, trajectory: TrajectoryBatch[Array]) -> ContactBelief:
-        """The belief after the motion of all steps of one trajectory."""
-
-    @abstractmethod
-    def trajectory_loss(self, trajectory: TrajectoryBatch[Array]) -> Float[Array, ""]:
-        """What training minimises, of one trajectory, nat."""
 
 
 def motion_noise(
@@ -91,8 +44,14 @@ def motion_noise(
     learned = model.prediction_noise
     if learned is None:
         return MotionNoise(position, velocity)
-    scales = learned.position, learned.velocity, learned.drift
-    return MotionNoise(position, velocity, *scales, type_share=learned.share)
+    return MotionNoise(
+        position,
+        velocity,
+        model_position=learned.position,
+        model_velocity=learned.velocity,
+        model_drift=learned.drift,
+        type_share=learned.share,
+    )
 
 
 def check_motion_model(model: object) -> ContactDynamics:
@@ -121,59 +80,30 @@ def correct_by_motion(
     model: ContactDynamics,
     carried: ContactBelief,
     before: ModelState,
-    motion_log_odds: Float[Array, " E"],
     control: Float[Array, " U"],
     observed: Motion,
     nodes: Nodes,
     noise: MotionNoise,
-) -> tuple[ContactBelief, Float[Array, " E"]]:
-    """The corrected belief about the last step, and `MotionEvidence.motion_log_odds`.
-
-    Both stay as ``carried`` and ``motion_log_odds`` where one of the step's two observations is not
-    finite: the first of a trajectory has none before it, and a bad one is no evidence for either of
-    its steps.
-    """
-    usable = both_finite(before, observed)
-    given = control, observed, nodes, noise
-    if isinstance(model, TrajectoryModel):
-        corrected, odds = model.with_motion(carried, before, *given), motion_log_odds
-    else:
-        evidence = contact_log_likelihood_ratio(model, before, motion_log_odds, *given)
-        corrected, odds = evidence.corrected, evidence.motion_log_odds
-    after = cast_like(corrected, carried), odds
-    unchanged = carried, motion_log_odds
-    return jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, unchanged)
-
-
-def contact_log_likelihood_ratio(
-    model: ContactDynamics,
-    before: ModelState,
-    motion_log_odds: Float[Array, " E"],
-    control: Float[Array, " U"],
-    observed: Motion,
-    nodes: Nodes,
-    noise: MotionNoise,
-) -> MotionEvidence:
-    """Evidence of the step from ``before`` under the applied ``control`` [N] to ``observed``.
+) -> ContactBelief:
+    """The belief about the step from ``before`` under the applied ``control`` [N] to ``observed``.
 
     ``before.belief`` is about the step that led to ``before``, corrected by all that was known
-    then; ``motion_log_odds`` are of that step, too (zeros: no evidence by motion yet).
+    then. Edges are judged one by one, unless the model has a ``with_motion`` of its own, as that of
+    relations. The result is ``carried``, as predicted, where one of the step's two observations is
+    not finite: the first of a trajectory has none before it, and a bad one is no evidence for
+    either of its steps.
     """
-    graph = model.encode_state(before, control, nodes)
-    predicted, joint = model.predict_joint(before.belief, graph)
-    stay = jnp.exp(-model.dt / noise.time_constant)
-    if predicted.memory is None:  # else the inference itself remembers
-        remembered = jnp.minimum(1.0 - jnp.exp(-motion_log_odds), before.belief.probability)
-        predicted = _at_least(predicted, before.belief, stay * graph.weight * remembered)
-        joint = without_change(predicted, noise.error_floor)
-    ratios = edge_log_ratios(model, graph, joint, observed, noise)
-    ratio = jnp.max(ratios[:, :, 1:], axis=(1, 2)).astype(motion_log_odds.dtype)
-    return MotionEvidence(
-        predicted=predicted,
-        log_ratio=ratio,
-        motion_log_odds=jnp.clip(stay * motion_log_odds + ratio, 0.0, noise.max_log_ratio),
-        corrected=posterior_by_motion(predicted, joint, ratios),
-    )
+
+    def by_edge() -> ContactBelief:
+        graph = model.encode_state(before, control, nodes)
+        predicted, joint = model.predict_joint(before.belief, graph)
+        ratios = edge_log_ratios(model, graph, joint, observed, noise)
+        return posterior_by_motion(predicted, joint, ratios)
+
+    usable, own = both_finite(before, observed), getattr(model, "with_motion", None)
+    corrected = own(carried, before, control, observed, nodes, noise) if own else by_edge()
+    corrected = cast_like(corrected, carried)
+    return jax.tree.map(lambda new, old: jnp.where(usable, new, old), corrected, carried)
 
 
 def edge_log_ratios(
@@ -191,6 +121,7 @@ def edge_log_ratios(
     judged after the other; those not judged yet have ``types``, where given, else the most probable
     ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
     """
+
     noise = noise.at(graph.velocity, model.dt)
     step = graph.position, graph.velocity, graph.control, graph.nodes
     moved = partial(motion_given_types, model, *step, meeting=graph.meeting)
@@ -245,19 +176,6 @@ def motion_given_types(
     belief = ContactBelief(types)
     graph = model.encode(position, velocity, control, nodes, belief, meeting, as_touching=True)
     return model.linearize(model.cut_edges(graph, belief))(position, velocity, control)
-
-
-def _at_least(
-    predicted: ContactBelief, before: ContactBelief, least: Float[Array, " E"]
-) -> ContactBelief:
-    """The prediction, with every edge active at least with the probability ``least``, of the types
-    it had before."""
-    types = jnp.maximum(before.type_probability[:, 1:], _MIN_PROBABILITY)
-    kept = least[:, None] * types / jnp.sum(types, axis=-1, keepdims=True)
-    active = predicted.type_probability[:, 1:]
-    active = jnp.where(jnp.sum(active, axis=-1, keepdims=True) < least[:, None], kept, active)
-    inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
-    return ContactBelief(jnp.concatenate([inactive, active], axis=-1))
 
 
 def most_probable(belief: ContactBelief) -> Float[Array, "E K"]:

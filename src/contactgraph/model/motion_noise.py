@@ -1,17 +1,19 @@
-"""Noise of observed and predicted motion, and the likelihood ratio of two predictions."""
+"""Noise of observed and predicted motion, and the likelihood of the types of an edge."""
 
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.model.contact_belief import first_holding_type
 
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
 for its scales, so that without a bound they would shrink, and steps that fit less well drop out."""
+_SHARE = 0.4
+"""Relative error of the effect of a contact, where it is not learned."""
 
 Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 """Position [m] and velocity [m/s] of every node."""
@@ -20,8 +22,8 @@ Motion = tuple[Float[Array, "N D"], Float[Array, "N D"]]
 class MotionNoise(eqx.Module):
     r"""Standard deviations of observations and of predictions.
 
-    For two predictions of one node, which differ by $\delta_x$ in position and
-    $\delta_v$ in velocity, the errors $e_x, e_v$ have the variances
+    For a node whose predicted position and velocity a type changes by $\delta_x$ and $\delta_v$,
+    the errors $e_x, e_v$ have the variances
 
     $$ s_v^2 = 2 \sigma_v^2 + m_v^2 + r^2 \|\delta_v\|^2, \qquad
        s_x^2 = 2 \sigma_x^2 + dt^2 \sigma_v^2 + m_x^2
@@ -30,9 +32,10 @@ class MotionNoise(eqx.Module):
     Both observations of a step are noisy, hence the 2. The effect of a contact is predicted up to a
     factor only: the time and size of an impact depend on distances known to a few per cent.
 
-    A node whose two predictions differ by no more than the noise, $\|\delta\|^2 / s^2$
-    without r at most D, contributes nothing: the state from which the step is predicted is noisy
-    itself, and a contact, which averages over two bodies, would always fit noise a little better.
+    A node whose predictions for two types differ by no more than the noise, $\|\delta\|^2 / s^2$
+    without r at most D, tells nothing about them: the state from which the step is predicted is
+    noisy itself, and a contact, which averages over two bodies, would always fit noise a little
+    better.
 
     Raises `InvalidInputError` where a number is negative, or where both observation and model are
     exact.
@@ -48,18 +51,14 @@ class MotionNoise(eqx.Module):
     """Of a predicted velocity after one step, m/s."""
     model_drift: float | Float[Array, ""] = 0.0
     """Error of a predicted velocity as a share of the speed before."""
-    model_share: float = 0.4
-    """r; relative error of the predicted effect of a contact."""
-    type_share: Float[Array, " active"] | None = None
-    """Relative error of the predicted effect of each active edge type. None: not learned."""
+    model_share: float = _SHARE
+    """Relative error of the predicted effect of a contact, as far as that tells masses."""
+    type_share: float | Float[Array, " active"] = _SHARE
+    """r; relative error of the predicted effect of each active edge type, or of all."""
     tail: float = eqx.field(static=True, default=4.0)
     """Degrees of freedom of Student's t: the fewer, the less weight has one outlier."""
     max_log_ratio: float = eqx.field(static=True, default=6.0)
     """Bound on the log-likelihood ratio of one step: odds of 400."""
-    error_floor: float = eqx.field(static=True, default=0.01)
-    """Least probability of a wrong belief of the model where motion contradicts it."""
-    time_constant: float = eqx.field(static=True, default=5.0)
-    """s; time for which a contact persists without further evidence."""
 
     def __check_init__(self) -> None:
         for name in ("position", "velocity", "model_position", "model_velocity", "model_share"):
@@ -89,10 +88,8 @@ class MotionNoise(eqx.Module):
         """Log-likelihood of ``observed`` if an edge has type i first and type j in the end.
 
         Each is less that of the likeliest pair; ``predictions`` [K, ...] are those of a step with
-        one type throughout, type 0 first. Without `type_share` no type changes within a step.
+        one type throughout, type 0 first.
         """
-        if self.type_share is None:
-            return self._without_change(predictions, observed, exists, dt)
         types, dimension = len(predictions[0]), observed[0].shape[-1]
         first, last = (index.ravel() for index in jnp.indices((types, types)))
         closes = first < last
@@ -102,12 +99,14 @@ class MotionNoise(eqx.Module):
         middle_x, middle_v = 0.5 * (x[first] + x[last]), 0.5 * (v[first] + v[last])
         middle_v = jnp.where(closes[:, None, None], v[last], middle_v)
         # The effect of a type, beside none, is known up to a share of it.
-        share = jnp.concatenate([jnp.zeros(1), self.type_share])[:, None] ** 2
+        active_share = jnp.broadcast_to(self.type_share, types - 1)
+        share = jnp.concatenate([jnp.zeros(1), active_share])[:, None] ** 2
         effect_v = share * _square(v, v[0])
         effect_x = share * _square(x, x[0]) + dt**2 * effect_v
         change_v = _UNIFORM**2 * _square(v[last], v[first])
         change_x = _UNIFORM**2 * _square(x[last], x[first]) + dt**2 * change_v
-        base_x, base_v = self._base(dt)
+        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
+        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
         variance_x = base_x + 0.5 * (effect_x[first] + effect_x[last]) + change_x
         changing_v = 0.5 * (effect_v[first] + effect_v[last]) + change_v
         variance_v = base_v + jnp.where(closes[:, None], effect_v[last], changing_v)
@@ -116,11 +115,11 @@ class MotionNoise(eqx.Module):
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
         # end in the last instant. Bodies side by side may touch for a part of the step only.
-        ends = (first >= min(2, types - 1)) & (first > last)
-        second = jnp.where(ends, first, last) * (types + 1)
-        second = jnp.where(ends | (first == 0), second, jnp.arange(types**2))
-        if types > 2:
-            second = second.at[types + 1].set(types)
+        holds = first >= first_holding_type(types)
+        throughout_first, throughout_last = first * (types + 1), last * (types + 1)
+        second = jnp.where(first == 0, throughout_last, jnp.arange(types**2))
+        second = jnp.where(holds & (first > last), throughout_first, second)
+        second = jnp.where((first > 0) & ~holds & (first == last), first * types, second)
         likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
@@ -128,48 +127,6 @@ class MotionNoise(eqx.Module):
         contrast = contrast + _square(middle[1], middle[1][best]) / base_v
         ratio = jnp.sum(_relevance(contrast, dimension) * (likelihood - likelihood[best]), axis=-1)
         return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
-
-    def _without_change(
-        self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
-    ) -> Float[Array, "K K"]:
-        """Predictions are compared in pairs, because the variances are those of a pair."""
-
-        def against(other: Motion) -> Float[Array, " K"]:
-            return jax.vmap(lambda one: self.log_ratio(one, other, observed, exists, dt))(
-                predictions
-            )
-
-        ratio = jax.vmap(against)(predictions)  # [other, one]
-        ratio = jnp.clip(ratio[jnp.argmin(jnp.max(ratio, axis=1))], -self.max_log_ratio, 0.0)
-        return jnp.where(jnp.eye(len(ratio), dtype=bool), ratio, -self.max_log_ratio)
-
-    def _base(self, dt: float) -> tuple[Float[Array, "*N"] | float, Float[Array, "*N"] | float]:
-        """Variances of position, m^2, and velocity, m^2/s^2, without the share."""
-        base_v = 2.0 * self.velocity**2 + self.model_velocity**2
-        base_x = 2.0 * self.position**2 + (dt * self.velocity) ** 2 + self.model_position**2
-        return base_x, base_v
-
-    def log_ratio(
-        self, one: Motion, other: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
-    ) -> Float[Array, ""]:
-        """Log-likelihood of ``observed`` under the prediction ``one`` less that under ``other``.
-
-        Exactly 0 where the two agree; heavy tails bound the effect of an outlier.
-        """
-        difference_x, difference_v = _square(one[0], other[0]), _square(one[1], other[1])
-        base_x, base_v = self._base(dt)
-        share = self.model_share**2
-        variance_v = base_v + share * difference_v
-        variance_x = base_x + share * (difference_x + dt**2 * difference_v)
-        dimension = observed[0].shape[-1]
-
-        def log_likelihood(predicted: Motion) -> Float[Array, " N"]:
-            return _log_density(observed, predicted, variance_x, variance_v, self.tail)
-
-        contrast = difference_x / base_x + difference_v / base_v
-        ratio = _relevance(contrast, dimension) * (log_likelihood(one) - log_likelihood(other))
-        ratio = jnp.sum(jnp.where(exists, ratio, 0.0))
-        return jnp.where(jnp.isfinite(ratio), ratio, 0.0)
 
 
 _DRIFT = 1e-3

@@ -24,14 +24,7 @@ from contactgraph.model.body_types import DECELERATION, PACE
 from contactgraph.model.contact_belief import ArgmaxSample
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edge_inference import (
-    AllEdges,
-    EdgeInference,
-    MemorylessEdges,
-    PriorEdges,
-    RecurrentEdges,
-    TransitionEdges,
-)
+from contactgraph.model.edge_inference import EdgeInference, PriorEdges, TransitionEdges
 from contactgraph.model.edges import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.features import InvariantFeatures
 from contactgraph.model.local_dynamics import (
@@ -40,6 +33,7 @@ from contactgraph.model.local_dynamics import (
 )
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.model.paper import MemorylessEdges, RecurrentEdges
 
 PLANE = "plane"
 """Stands for planes where types are named."""
@@ -203,12 +197,19 @@ def ours(
     driving = config.driving_size
     driving = min(config.dimension, config.control_size) if driving is None else driving
     noise: PredictionNoise | None = None
-    edges: EdgeInference = AllEdges()
+    edges: EdgeInference = PriorEdges(least=1.0)
     if filtered and config.identified:  # Nothing holds another, and outlines tell where they touch.
         edges = PriorEdges(config.edge_types)
     elif filtered:
-        sizes = size, features.node_types, config.control_size - driving
-        edges = _transitions(config, *sizes, messages_key, rates_key)
+        node_types, commands = features.node_types, config.control_size - driving
+        edges = TransitionEdges(
+            EdgeNetwork(size + 1 + commands + node_types, width, key=messages_key),
+            node_types=node_types,
+            edge_types=config.edge_types,
+            commands=commands,
+            min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
+            key=rates_key,
+        )
         noise = PredictionNoise(config.edge_types, distance)
     elif inference is not Inference.NONE:
         messages = EdgeNetwork(size, width, key=messages_key)
@@ -259,19 +260,6 @@ def _law(
         key=key,
     )
     return _with_measured(head, config, types)
-
-
-def _transitions(
-    config: ModelConfig, edge_size: int, node_types: int, commands: int, *keys: PRNGKeyArray
-) -> TransitionEdges:
-    return TransitionEdges(
-        EdgeNetwork(edge_size + 1 + commands + node_types, config.width or 32, key=keys[0]),
-        node_types=node_types,
-        edge_types=config.edge_types,
-        commands=commands,
-        min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
-        key=keys[1],
-    )
 
 
 def default_cutoff(config: ModelConfig) -> SmoothCutoff:

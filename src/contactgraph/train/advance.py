@@ -11,12 +11,11 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.features import InvariantFeatures
-from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.train.batch import BatchSplit, Window, WindowSource, add_distractor
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.fit_state import FitState
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.loss import LossTerms, rollout_loss, window_loss
+from contactgraph.train.loss import LossTerms, objective_of, rollout_loss
 
 _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
@@ -115,21 +114,15 @@ def advance_steps(
             windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
         return windows
 
-    if isinstance(state.model, TrajectoryModel):
-        with_rollout = None  # It is learned along whole trajectories.
+    objective = objective_of(state.model)
+    if not objective.rolls_out:
+        with_rollout = None
 
     def loss(
         params: ContactDynamics, windows: Window, key: PRNGKeyArray
     ) -> tuple[Array, LossTerms]:
         model = eqx.combine(params, static)
-        if isinstance(model, TrajectoryModel):
-            every = source.draw_trajectories(config.batch_size, key)
-            along = every.states.trajectories(every.real)
-            score = jnp.mean(jax.vmap(model.trajectory_loss)(along))
-            zero = jnp.zeros(())
-            terms = LossTerms(zero, zero, zero, zero, likelihood=score, noise=zero)
-        else:
-            terms = window_loss(model, windows, key, False, devices)
+        terms = objective.terms(model, windows, source, key, devices)
         return terms.total(config.weights), terms
 
     def rolled_out(params: ContactDynamics, windows: Window) -> Array:

@@ -27,7 +27,6 @@ from contactgraph.model.contact_belief import (
     posterior_by_motion,
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import TransitionEdges
 from contactgraph.model.features import stillness
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import EncodedGraph
@@ -57,7 +56,7 @@ _DENIED, _UNMEASURED = 10, 0.5
 
 def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
     """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
-    if not isinstance(model.inference, TransitionEdges):
+    if model.prediction_noise is None:
         raise InvalidInputError(
             f"{what}: the model must be a filter (--model ours), found "
             f"{type(model.inference).__name__}"
@@ -203,14 +202,12 @@ def _denial_score(
     embedding, prior, weight = map(taken, (graph.embedding, graph.prior, touching[..., None]))
     free = jnp.zeros_like(prior).at[..., 0].set(1.0)
     inference = model.inference
-    assert isinstance(inference, TransitionEdges)
-    size = inference.carried_size
     # Contact is denied from the first, or after the prior made it likely; afterwards the bodies are
     # observed at rest, or predicted to be.
     at_once, seen = jax.random.bernoulli(jax.random.fold_in(key, 1), shape=(2, len(prior)))
 
     def step(belief: ContactBelief, denied: Array) -> tuple[ContactBelief, Array]:
-        predicted, joint = jax.vmap(inference.predict_joint)(belief, embedding, prior)
+        predicted, joint = jax.vmap(inference.predict)(belief, embedding, prior)
         types = predicted.type_probability
         stays = joint[..., 0, 0] / jnp.maximum(belief.type_probability[..., 0], _SMALLEST)
         score = -jnp.log(jnp.maximum(stays, _SMALLEST))
@@ -218,7 +215,7 @@ def _denial_score(
         return jax.vmap(seen_or_not)(after, denied | seen), score
 
     believed = jnp.where(at_once[:, None, None], free, prior)
-    first = ContactBelief(believed, None, jnp.zeros((*prior.shape[:-1], size), prior.dtype))
+    first = jax.vmap(inference.init)(embedding, believed)
     denied = jnp.arange(_DENIED + round(_UNMEASURED / model.dt)) < _DENIED
     score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 3 :], axis=0)
     return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)

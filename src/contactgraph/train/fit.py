@@ -16,8 +16,6 @@ from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.large_scenes.neighbor_list import ReallocatingModel
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import TransitionEdges
-from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.train.advance import advance_steps, optimiser_of
 from contactgraph.train.batch import (
     WindowSource,
@@ -40,6 +38,7 @@ from contactgraph.train.held_out import (
     rollout_rmse,
 )
 from contactgraph.train.identification import identifies_laws, identify_laws
+from contactgraph.train.loss import objective_of
 
 _BURN = 20
 """Steps that correct a filter before a held-out window."""
@@ -48,7 +47,7 @@ _BURN = 20
 def initial_state(model: ContactDynamics, config: TrainConfig, seed: int) -> FitState:
     """The state before the first step; equal seeds give equal results."""
     optimiser: PyTree = optimiser_of(config).init(eqx.filter(model, eqx.is_inexact_array))
-    if isinstance(model.inference, TransitionEdges):
+    if model.prediction_noise is not None:
         optimiser = optimiser, first_filter_optimiser_state(model, config)
     return FitState(
         model=model,
@@ -87,7 +86,7 @@ def fit(
     train, held_out = near_origin(train), near_origin(held_out)
     labelled = with_edge_labels(train) if config.use_contacts else train
     turn_length, model = state.model.features.turn_length, state.model
-    filtered, judged, most = isinstance(model.inference, TransitionEdges), 0, None
+    filtered, judged, most = model.prediction_noise is not None, 0, None
     if filtered:  # Both parts are judged by one program.
         most = max(each.steps for each in (*train, *held_out))
         judged = judged_count(most, max(1, len(devices)))
@@ -96,10 +95,9 @@ def fit(
     batch = padded(labelled, contacts=config.use_contacts)
     source = _window_source(batch, config)
     source = dataclasses.replace(source, reports_touch=labelled is train)
-    other, burn = padded(held_out, contacts=False), 0
-    if isinstance(model, TrajectoryModel) or filtered:
-        shortest = min(each.steps for each in held_out)
-        burn = max(int(filtered), min(_BURN, shortest - config.window_length))
+    other, shortest = padded(held_out, contacts=False), min(each.steps for each in held_out)
+    burn = _BURN if filtered else objective_of(model).burn
+    burn = max(int(filtered), min(burn, shortest - config.window_length))
     checking = dataclasses.replace(config, window_length=config.window_length + burn)
     checked = held_out_windows(_window_source(other, checking), burn, judged)
     baselines = checked.baselines(train.dt)
@@ -150,7 +148,7 @@ def fit(
                 baselines=baselines,
             )
         )
-        if has_dead_units(state.model, checked.windows):
+        if not identifies_laws(state.model) and has_dead_units(state.model, checked.windows):
             status = FitStatus.dead_units
             break
         best, done = float(state.best_error), int(state.step) / config.steps

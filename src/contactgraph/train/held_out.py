@@ -16,14 +16,12 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.data.windows import moving_bodies
 from contactgraph.model.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import AllEdges, TransitionEdges
 from contactgraph.model.edges import edge_count
 from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.motion_likelihood import TrajectoryModel
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
 from contactgraph.train.judged_steps import JudgedSteps, with_window_masses
-from contactgraph.train.loss import chunked_vmap, predict_window
+from contactgraph.train.loss import chunked_vmap, objective_of, predict_window
 
 _WINDOWS = 256
 _SAME_FEATURES = 1e-2
@@ -135,11 +133,8 @@ def rollout_rmse(
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
     windows, before = held_out.windows, held_out.before
-    belief = None
-    if isinstance(model, TrajectoryModel) and before is not None:
-        real = jnp.ones(before.control.shape[:2], bool)
-        belief = jax.vmap(model.trajectory_belief)(before.trajectories(real))
-    elif judged is not None and held_out.every is not None and held_out.begins is not None:
+    belief = None if before is None else objective_of(model).belief(model, before)
+    if judged is not None and held_out.every is not None and held_out.begins is not None:
         trajectory, start = held_out.begins
         along = corrected_beliefs(model, held_out.every, judged)
         belief = jax.tree.map(lambda leaf: leaf[trajectory, start - 1], along)
@@ -168,10 +163,7 @@ def has_dead_units(model: ContactDynamics, windows: Window) -> bool:
 
 
 def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
-    if isinstance(model.inference, AllEdges):
-        return model.local_dynamics.message_passing.types
-    network = getattr(model.inference, "message_passing", None)
-    return [] if network is None else [network]
+    return model.inference.networks or model.local_dynamics.message_passing.networks
 
 
 @eqx.filter_jit
@@ -188,12 +180,13 @@ def _ranges(
         nodes = jax.tree.map(lambda leaf: leaf[window], windows.nodes)
         graph = model.encode(position, velocity, still, nodes, nothing)
         near = graph.weight > 0
-        inputs = graph.node_features, graph.edge_features, near.astype(position.dtype)
-        if isinstance(model.inference, TransitionEdges):  # its embedding is the message itself
-            messages = [jnp.stack([graph.embedding, graph.embedding])]
+        weight, ends = near.astype(position.dtype), graph.geometry.edge_index
+        node, edge, inference = graph.node_features, graph.edge_features, model.inference
+        if inference.networks:
+            seen = inference.edge_inputs(edge, graph.geometry, nodes, still)
+            messages = [inference.embed(node, seen, weight, ends)[None]]
         else:
-            networks = _networks(model)
-            messages = [network(*inputs, graph.geometry.edge_index)[1] for network in networks]
+            messages = [each(node, edge, weight, ends)[1] for each in _networks(model)]
 
         def extremes(values: Array) -> Array:
             def least(values: Array) -> Array:

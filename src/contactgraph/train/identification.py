@@ -4,6 +4,8 @@ The motion after an impact depends on its place and moment so steeply that gradi
 noise. A dozen numbers need none: differences of simulated steps tell them within seconds.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -50,8 +52,9 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
     """
     weights = window_weights(batch, _STEPS, 1.0)
     windows = window_source(batch, weights, False).draw(_WINDOWS, jax.random.key(0))
-    head = model.local_dynamics.head
-    leaves = {name: np.asarray(getattr(head, name), float) for name in _SPREADS}
+    leaves = {
+        name: np.asarray(each, float) for name, each in zip(_SPREADS, _leaves(model), strict=True)
+    }
     spread = np.concatenate([np.full(len(each), _SPREADS[name]) for name, each in leaves.items()])
     start = np.concatenate(list(leaves.values()))
     free = np.asarray(windows.learned)[:, None, :, None]
@@ -84,7 +87,7 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
     return with_numbers(min(found, key=lambda each: each.cost).x)
 
 
-def _leaves(model: ContactDynamics) -> list[Array]:
+def _leaves(model: Any) -> list[Array]:
     return [getattr(model.local_dynamics.head, name) for name in _SPREADS]
 
 

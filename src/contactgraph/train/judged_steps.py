@@ -137,7 +137,7 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
 
     def judge(graph: EncodedGraph, after: Motion) -> Array:
         prior = model.prior_belief(graph)
-        joint = without_change(prior, noise.error_floor)
+        _, joint = without_change(prior)
         return edge_log_ratios(model, graph, joint, after, noise, held_where_near(prior))
 
     def apart(graph: EncodedGraph) -> Motion:

@@ -17,7 +17,7 @@ from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.edges import edge_count
 from contactgraph.model.motion_noise import Motion
 from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState
-from contactgraph.train.batch import Window
+from contactgraph.train.batch import Window, WindowSource
 
 _Result = TypeVar("_Result")
 
@@ -115,6 +115,38 @@ def window_loss(
         likelihood=jnp.zeros(()),
         noise=jnp.zeros(()),
     )
+
+
+class Objective:
+    """What training minimises of a model; this one the errors of windows, as in the paper.
+
+    A model with another objective names it by an attribute ``objective``.
+    """
+
+    rolls_out = True
+    """Whether the errors of rollouts, `rollout_loss`, are a further term."""
+    burn = 0
+    """Steps before each held-out window that tell the belief in its first state."""
+
+    def terms(
+        self,
+        model: ContactDynamics,
+        windows: Window,
+        source: WindowSource,
+        key: PRNGKeyArray,
+        devices: int,
+    ) -> LossTerms:
+        """The terms but that of rollouts, over a batch of ``windows`` of the ``source``."""
+        return window_loss(model, windows, key, False, devices)
+
+    def belief(self, model: ContactDynamics, before: Window) -> ContactBelief | None:
+        """The beliefs [B, ...] after steps ``before`` windows. None: they tell nothing."""
+        return None
+
+
+def objective_of(model: object) -> Objective:
+    """The model's own objective, else that of windows."""
+    return getattr(model, "objective", Objective())
 
 
 def rollout_loss(model: ContactDynamics, windows: Window, devices: int = 1) -> Float[Array, ""]:

@@ -9,7 +9,7 @@ import safetensors.numpy
 
 from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.serialization import module_arrays, with_arrays
+from contactgraph.model.io import module_arrays, with_arrays
 from contactgraph.train.fit_state import FitProgress, FitState
 
 FORMAT = "contactgraph-checkpoint"

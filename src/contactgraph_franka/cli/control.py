@@ -269,7 +269,7 @@ def mpc_planner(name: str, max_force: float, horizon: int, infer_contacts: bool)
     """
     from contactgraph.cli.models import stored_model
     from contactgraph.evaluate.task_cost import TaskCost
-    from contactgraph.model import MotionNoise
+    from contactgraph.model import motion_noise
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
     model = stored_model(name)
@@ -280,5 +280,5 @@ def mpc_planner(name: str, max_force: float, horizon: int, infer_contacts: bool)
         TaskCost.of(replace(pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
         max_force,
         horizon=horizon,
-        motion_noise=MotionNoise() if infer_contacts else None,
+        motion_noise=motion_noise(model) if infer_contacts else None,
     )

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.heads import WithoutContacts
-from contactgraph.model.local_dynamics import ThetaMethod
+from contactgraph.model.local_dynamics import LocalDynamics, ThetaMethod
+from contactgraph.model.message_passing import EdgeNetwork
 from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper, own_component
 
 _SOFT = 0.1
@@ -71,6 +71,11 @@ class ForceLaws(eqx.Module):
         self.types = types
         self.share = jnp.ones((len(types), node_types, node_types))
 
+    @property
+    def networks(self) -> list[EdgeNetwork]:
+        """Those that make messages: none, since the laws are of the distance alone."""
+        return []
+
 
 class ExpectedTypes(eqx.Module):
     """The probabilities in the place of a sample: the mean force, where forces are linear in it."""
@@ -82,7 +87,7 @@ class ExpectedTypes(eqx.Module):
         return type_probability
 
 
-class RelationDynamics(WithoutContacts):
+class RelationDynamics(LocalDynamics):
     """One linear step of every node under the force laws of its edges; see the module.
 
     ``length`` [m] is the unit of distances. The standard deviation of a predicted velocity is

@@ -11,12 +11,13 @@ $b = \sum \Phi^\top (v' - v'_0) / \sigma^2$:
 $$ \log p(z \mid \text{motion}) = \log p(z) + b^\top z - \tfrac12 z^\top G z + \text{const}. $$
 
 Their factors are found by mean field, one edge at a time given the beliefs about all others, from
-the least-squares solution on. A belief carries the sums (`ContactBelief.memory`), so that nothing
-that was seen is forgotten and no decision of an early step binds a later one. Its probabilities are
-those of types that act at the present distance.
+the least-squares solution on. A belief carries the sums (`MotionSums`), so that nothing that was
+seen is forgotten and no decision of an early step binds a later one. Its probabilities are those of
+types that act at the present distance.
 """
 
-from typing import NamedTuple
+import dataclasses
+from typing import Self, cast
 
 import equinox as eqx
 import jax
@@ -24,16 +25,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.model.contact_belief import ContactBelief, EdgeMemory, without_change
+from contactgraph.model.edge_inference import EdgeInference
 
 _SWEEPS = 8
-_ROUNDING = 1e-5
-"""Of probabilities; a greater change is a report."""
 _LEAST = 1e-6
 """Least probability of a type, so that a sensor's report can still change it."""
 
 
-class StaticEdges(eqx.Module):
+class StaticEdges(EdgeInference):
     """Edges that keep their types for a whole trajectory, with a prior by the types of the ends.
 
     The prior is learned, independent of the geometry, and starts as 1/2 for *inactive*.
@@ -66,22 +66,24 @@ class StaticEdges(eqx.Module):
         absent = jnp.log(jnp.full_like(log_prior[:1], _LEAST).at[:, 0].set(1.0))
         return jnp.where(weight[:, None] > 0, log_prior, absent)
 
-    def first_belief(self, embedding: Float[Array, "E K+active"]) -> ContactBelief:
+    def init(
+        self, embedding: Float[Array, "E K+active"], prior: Float[Array, "E K"]
+    ) -> ContactBelief:
         """The belief before the first observation, with sums of 0."""
         log_prior, acts = jnp.split(embedding, [self.edge_types], axis=-1)
         edges, active = acts.shape
         b, G = jnp.zeros_like(acts), jnp.zeros((edges, edges * active**2), acts.dtype)
-        return _Seen(log_prior, log_prior, acts, b, G).belief()
+        return MotionSums(log_prior, log_prior, acts, b, G).belief()
 
     def predict(
         self,
         belief: ContactBelief,
         embedding: Float[Array, "E K+active"],
         prior: Float[Array, "E K"],
-    ) -> ContactBelief:
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the next step: relations last, and act within their range."""
-        seen = _Seen.by(belief)
-        return seen._replace(acts=embedding[:, self.edge_types :]).belief(belief.edge_id)
+        acts = embedding[:, self.edge_types :]
+        return without_change(dataclasses.replace(_sums(belief), acts=acts).belief())
 
 
 def motion_sums(
@@ -118,59 +120,50 @@ def edge_posterior(
     return types_of / jnp.sum(types_of, axis=-1, keepdims=True)
 
 
-class _Seen(NamedTuple):
-    """What a belief of `StaticEdges` carries in its memory, after a number that others use."""
+class MotionSums(EdgeMemory):
+    """Memory of `StaticEdges`."""
 
-    log_prior: Float[Array, "E K"]
+    log_prior: Float[Array, "*T E K"]
     """With all that was reported by sensors."""
-    log_types: Float[Array, "E K"]
+    log_types: Float[Array, "*T E K"]
     """Posterior of the types, whether they act or not."""
-    acts: Float[Array, "E active"]
+    acts: Float[Array, "*T E active"]
     """1 where a type acts at the present distance, else 0."""
-    b: Float[Array, "E active"]
-    G: Float[Array, "E E*active^2"]
+    b: Float[Array, "*T E active"]
+    G: Float[Array, "*T E E*active^2"]
 
-    @classmethod
-    def by(cls, belief: ContactBelief) -> "_Seen":
-        """What has changed the belief since it was made, a sensor's report, joins the prior."""
-        assert belief.memory is not None, "a belief of this inference carries sums"
-        types = belief.edge_types
-        parts = jnp.split(
-            belief.memory, np.cumsum([1, types, types, types - 1, types - 1]), axis=-1
-        )
-        seen = cls(*parts[1:])
-        reported = [
-            jnp.log(jnp.maximum(each, _LEAST)) for each in (belief.type_probability, seen.types)
-        ]
-        told = jnp.abs(belief.type_probability - seen.types) > _ROUNDING
-        change = jnp.where(jnp.any(told, axis=-1, keepdims=True), reported[0] - reported[1], 0.0)
-        log_prior, log_types = seen.log_prior + change, seen.log_types + change
+    def after_report(self, before: Float[Array, "*T E K"], after: Float[Array, "*T E K"]) -> Self:
+        """A report joins the prior."""
+        change = jnp.log(jnp.maximum(after, _LEAST)) - jnp.log(jnp.maximum(before, _LEAST))
         normal = jax.nn.log_softmax
-        return seen._replace(log_prior=normal(log_prior), log_types=normal(log_types))
+        return dataclasses.replace(
+            self,
+            log_prior=normal(self.log_prior + change),
+            log_types=normal(self.log_types + change),
+        )
 
-    @property
-    def types(self) -> Float[Array, "E K"]:
-        """Probability of the types that act."""
+    def belief(self) -> ContactBelief:
+        """The belief that carries this: probability of the types that act."""
         active = jnp.exp(self.log_types[:, 1:]) * self.acts
-        return jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
+        inactive = 1.0 - jnp.sum(active, axis=-1, keepdims=True)
+        return ContactBelief(jnp.concatenate([inactive, active], axis=-1), memory=self)
 
-    def belief(self, edge_id: Int[Array, " E"] | None = None) -> ContactBelief:
-        """The belief that carries this."""
-        unseen = jnp.zeros_like(self.b[:, :1])
-        return ContactBelief(self.types, edge_id, jnp.concatenate([unseen, *self], axis=-1))
+
+def _sums(belief: ContactBelief) -> MotionSums:
+    return cast(MotionSums, belief.memory)
 
 
 def with_evidence(
     belief: ContactBelief, G: Float[Array, "Z Z"], b: Float[Array, " Z"]
 ) -> ContactBelief:
     """The belief after further steps, of which G and b are the sums."""
-    seen = _Seen.by(belief)
+    seen = _sums(belief)
     b, G = seen.b.ravel() + b, seen.G.reshape(G.shape) + G
-    after = jnp.log(edge_posterior(seen.log_prior, G, b))
-    sums = {"b": b.reshape(seen.b.shape), "G": G.reshape(seen.G.shape)}
-    return seen._replace(log_types=after, **sums).belief(belief.edge_id)
+    log_types = jnp.log(edge_posterior(seen.log_prior, G, b))
+    b, G = b.reshape(seen.b.shape), G.reshape(seen.G.shape)
+    return dataclasses.replace(seen, log_types=log_types, b=b, G=G).belief()
 
 
 def lasting_types(belief: ContactBelief) -> Float[Array, "E K"]:
     """Probability of the types of edges, also of those out of their range at present."""
-    return jnp.exp(_Seen.by(belief).log_types)
+    return jnp.exp(_sums(belief).log_types)

@@ -5,7 +5,6 @@ model, such as `paper-literal-no-gim`.
 """
 
 import dataclasses
-from enum import StrEnum
 from functools import partial
 
 import jax
@@ -13,65 +12,57 @@ from jaxtyping import PRNGKeyArray
 
 from contactgraph.model.contact_belief import ArgmaxSample, GumbelSample
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import (
-    AllEdges,
-    EdgeInference,
+from contactgraph.model.edge_inference import EdgeInference, PriorEdges
+from contactgraph.model.edges import ClosestApproachPrior, NoCutoff
+from contactgraph.model.local_dynamics import LocalDynamics, SpringMassDamperDynamics, ThetaMethod
+from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
+from contactgraph.model.paper import (
+    AbsoluteFeatures,
+    DistancePrior,
+    FreeLinearDynamics,
     MemorylessEdges,
+    PerDegreeHead,
     RecurrentEdges,
 )
-from contactgraph.model.edges import ClosestApproachPrior, DistancePrior, NoCutoff
-from contactgraph.model.features import AbsoluteFeatures
-from contactgraph.model.heads import PerDegreeHead
-from contactgraph.model.local_dynamics import (
-    FreeLinearDynamics,
-    SpringMassDamperDynamics,
-    ThetaMethod,
-)
-from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
-from contactgraph.model.presets import ModelConfig, Preset, default_cutoff
-
-
-class Compared(StrEnum):
-    """The models that the paper compares."""
-
-    GIM_TEMP = ""
-    GIM_NON_TEMP = "-non-temp"
-    NO_GIM = "-no-gim"
-    FULL_AB = "-full-ab"
+from contactgraph.model.presets import Inference, ModelConfig, Preset, default_cutoff
 
 
 def paper_form(
-    config: ModelConfig, *, key: PRNGKeyArray, local: bool, compared: Compared
+    config: ModelConfig,
+    *,
+    key: PRNGKeyArray,
+    local: bool = False,
+    inference: Inference = Inference.RECURRENT,
+    free: bool = False,
 ) -> ContactDynamics:
     """A model in the paper's own form; its d_th is `ModelConfig.contact_distance`.
 
     All pairs, absolute positions, distance only, explicit Euler. A ``local`` one is cared for: near
-    nodes alone have messages, if edges are inferred, and the theta of its step is learned.
+    nodes alone have messages, if edges are inferred, and the theta of its step is learned. Matrices
+    of a ``free`` one are not those of springs and dampers.
     """
     dimension, width = config.dimension, config.width or 64
     inference_key, cell_key, dynamics_key, head_key = jax.random.split(key, 4)
     features = AbsoluteFeatures(hinges=config.hinges)
     sizes = features.node_size(dimension), features.edge_size(dimension), width
     messages = MessagePassing(*sizes, key=inference_key)
-    inference: EdgeInference = RecurrentEdges(
-        messages, temperature=config.temperature, key=cell_key
-    )
-    if compared is Compared.GIM_NON_TEMP:
-        inference = MemorylessEdges(messages, key=cell_key)
-    elif compared is Compared.NO_GIM:
-        inference = AllEdges()
+    edges: EdgeInference = PriorEdges(least=1.0)
+    if inference is Inference.RECURRENT:
+        edges = RecurrentEdges(messages, temperature=config.temperature, key=cell_key)
+    elif inference is Inference.MEMORYLESS:
+        edges = MemorylessEdges(messages, key=cell_key)
     along = TypedMessagePassing([MessagePassing(*sizes, key=dynamics_key)])
-    dynamics: SpringMassDamperDynamics | FreeLinearDynamics = SpringMassDamperDynamics(
+    dynamics: LocalDynamics = SpringMassDamperDynamics(
         message_passing=along,
         head=PerDegreeHead(width, dimension, key=head_key),
         discretization=ThetaMethod() if local else ThetaMethod(0.0, learned=False),
     )
-    if compared is Compared.FULL_AB:
+    if free:
         size, head_key = config.control_size, jax.random.fold_in(key, 1)
         dynamics = FreeLinearDynamics(along, dimension=dimension, control_size=size, key=head_key)
-    inferred = compared is not Compared.NO_GIM
+    inferred = inference is not Inference.NONE
     return ContactDynamics(
-        inference=inference,
+        inference=edges,
         local_dynamics=dynamics,
         features=features,
         prior=DistancePrior(threshold=config.contact_distance),
@@ -84,11 +75,16 @@ def paper_form(
     )
 
 
-paper_literal: Preset = partial(paper_form, local=False, compared=Compared.GIM_TEMP)
+paper_literal: Preset = paper_form
 PAPER_PRESETS: dict[str, Preset] = {
-    f"paper-{form}{compared}": partial(paper_form, local=local, compared=compared)
+    f"paper-{form}{name}": partial(paper_form, local=local, **parts)
     for form, local in (("literal", False), ("local", True))
-    for compared in Compared
+    for name, parts in (
+        ("", {}),
+        ("-non-temp", {"inference": Inference.MEMORYLESS}),
+        ("-no-gim", {"inference": Inference.NONE}),
+        ("-full-ab", {"free": True}),
+    )
 }
 """By name."""
 
@@ -96,5 +92,5 @@ PAPER_PRESETS: dict[str, Preset] = {
 def full_ab(config: ModelConfig, *, key: PRNGKeyArray) -> ContactDynamics:
     """Recurrent edges with a cutoff, as of `ours`, but free matrices of absolute positions."""
     config = dataclasses.replace(config, width=config.width or 32)
-    model = paper_form(config, key=key, local=False, compared=Compared.FULL_AB)
+    model = paper_form(config, key=key, free=True)
     return dataclasses.replace(model, prior=ClosestApproachPrior(), cutoff=default_cutoff(config))
