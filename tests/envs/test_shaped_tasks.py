@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.pins import pin_gaps
 from contactgraph.envs import (
     ChainTask,
     DominoesTask,
@@ -18,6 +17,7 @@ from contactgraph.envs import (
 from contactgraph.envs.episodes import run_episode
 from contactgraph.envs.mujoco_world import VerticalWorld
 from contactgraph.envs.planar.body import PlanarBody
+from contactgraph.evaluate.trajectory_prediction import pin_gaps
 
 G = 9.81
 BOX = np.array([0.05, 0.03])

@@ -10,13 +10,12 @@ import pytest
 from model_scenes import follow, slippery_bodies
 
 from contactgraph.data import Dataset, Scene, Trajectory, generalized_coordinates
-from contactgraph.data.pins import pin_gaps
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.shaped_tasks import box_outline
 from contactgraph.evaluate import evaluate_open_loop
 from contactgraph.evaluate.open_loop_metrics import pin_drift
-from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps
+from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps, pin_gaps
 from contactgraph.identify import Units, identify, in_units
 from contactgraph.identify.shapes import CONTACT_DISTANCE
 from contactgraph.model import ContactDynamics, ModelConfig, scene_nodes

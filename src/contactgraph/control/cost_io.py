@@ -22,7 +22,7 @@ from contactgraph.control.learned_cost import (
     TaskNode,
 )
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.data.json_fields import JsonFields, read_json_fields
+from contactgraph.data.files import JsonFields, read_json_fields
 
 FORMAT = "contactgraph-cost"
 VERSION = 2

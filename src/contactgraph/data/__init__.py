@@ -1,6 +1,5 @@
 """Recorded trajectories: their fields, their files, and their batches for training."""
 
-from contactgraph.data.atomic_file import atomic_write as atomic_write
 from contactgraph.data.dataset import Dataset as Dataset
 from contactgraph.data.dataset import Metadata as Metadata
 from contactgraph.data.dataset import split_by_trajectory as split_by_trajectory
@@ -11,6 +10,7 @@ from contactgraph.data.dataset import without_turns as without_turns
 from contactgraph.data.dataset_file import read_trajectories as read_trajectories
 from contactgraph.data.dataset_file import write_trajectories as write_trajectories
 from contactgraph.data.errors import InvalidInputError as InvalidInputError
+from contactgraph.data.files import atomic_write as atomic_write
 from contactgraph.data.graph import candidate_pairs as candidate_pairs
 from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined

@@ -9,9 +9,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from contactgraph.data.atomic_file import atomic_write, check_readable
 from contactgraph.data.dataset import Dataset, Metadata
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.files import atomic_write, check_readable
 from contactgraph.data.scene import Scene
 from contactgraph.data.schema import Field, fields_of
 from contactgraph.data.trajectory import Trajectory

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.data import Scene, TrajectoryBatch
-from contactgraph.data.pins import pin_gaps
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -155,3 +154,17 @@ def _rolled_out(
     outputs = jax.lax.map(from_state, padded, batch_size=batch if batch > 1 else None)
     position, active, last = jax.tree.map(lambda leaf: leaf[:count], outputs)
     return position, active, last
+
+
+def pin_gaps(
+    pins: np.ndarray, pin_points: np.ndarray, position: np.ndarray, angle: np.ndarray
+) -> np.ndarray:
+    """[..., P] m: distance between the two points of each pin of bodies at ``position`` [..., N, 2]
+    m and ``angle`` [..., N] rad."""
+    turn = angle[..., pins, None]
+    x, y = pin_points[..., :1], pin_points[..., 1:]
+    arm = np.concatenate(
+        [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)], axis=-1
+    )
+    ends = position[..., pins, :] + arm
+    return np.asarray(np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1))

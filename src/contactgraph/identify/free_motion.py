@@ -7,9 +7,8 @@ import numpy as np
 import scipy
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.pins import pinned_group, pinned_motion
 from contactgraph.data.trajectory import Trajectory
-from contactgraph.identify.shapes import hinged_nodes
+from contactgraph.identify.shapes import hinged_nodes, pinned_group, pinned_motion
 from contactgraph.model.actuation import ActuationFit
 
 _UNMOVED = 0.02

@@ -1,6 +1,6 @@
 """Shapes of bodies as data show them: how near they touch, which of them turn, and gaps."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +14,6 @@ from contactgraph.bodies.rotations import placed
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_indices, passive_nodes
 from contactgraph.data.outlines import outline_moments
-from contactgraph.data.pins import pinned_group
 from contactgraph.data.scene import Scene, box_distance
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.trajectory_batch import pad_nodes
@@ -277,3 +276,24 @@ def hinged_nodes(scene: Scene) -> np.ndarray:
     """[N] bool: the nodes that hang on a hinge."""
     anchor = np.full((scene.node_count, 1), np.nan) if scene.anchor is None else scene.anchor
     return np.asarray(np.isfinite(anchor).all(axis=-1))
+
+
+def pinned_group(pins: np.ndarray | None, count: int) -> np.ndarray:
+    """[N, N] bool: whether pins join two of ``count`` nodes, directly or through others; False of a
+    node with itself."""
+    group = np.eye(count, dtype=bool)
+    for _ in range(count):
+        for first, second in [] if pins is None else pins.tolist():
+            group[first] = group[second] = group[first] | group[second]
+    return group & ~np.eye(count, dtype=bool)
+
+
+def pinned_motion(
+    velocity: np.ndarray, group: np.ndarray, node_type: Sequence[str], names: Sequence[str]
+) -> np.ndarray:
+    """[T, D, 2K] m/s: changes of velocity, then velocities [T+1, N, D], summed over the bodies of
+    each of the K types ``names`` in a ``group`` [N]; forces at pins cancel in their momentum."""
+    both = np.diff(velocity, axis=0), velocity[:-1]
+    alike = [group & (np.array(node_type) == name) for name in names]
+    sums = [each[:, of].sum(axis=1) for each in both for of in alike]
+    return np.stack(sums, axis=-1) if sums else np.zeros((*both[0][:, 0].shape, 0))

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.json_fields import JsonFields
+from contactgraph.data.files import JsonFields
 from contactgraph.interchange.recording import Column, Episode
 
 _T = TypeVar("_T")

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.atomic_file import check_readable
-from contactgraph.data.json_fields import JsonFields, parse_json
+from contactgraph.data.files import JsonFields, check_readable, parse_json
 
 LARGEST = 2**27
 """Limit of the numbers of a recording, 1 GiB: more than anyone can train on."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.json_fields import JsonFields
+from contactgraph.data.files import JsonFields
 from contactgraph.interchange.map_entries import (
     Entries,
     array_at,

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry, as_near
-from contactgraph.bodies.pins import pin_joints, with_pins_held
-from contactgraph.bodies.planes import Patch, on_planes, plane_geometry, weighed_down
+from contactgraph.bodies.pins import PinJoints, pin_joints, with_pins_held
+from contactgraph.bodies.planes import Patch, meets_plane, on_planes, plane_geometry, weighed_down
 from contactgraph.model.actuation import Actuation, actuated_slots
 from contactgraph.model.body_types import PACE, BodyTypes
-from contactgraph.model.constraints import pin_contacts, plane_contacts
 from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
 from contactgraph.model.heads import coupling_starts, with_hinge_springs
@@ -274,3 +273,52 @@ class ContactLaw(BodyTypes):
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.
         return (1.0 - self.averaged) * (geometry.fraction_after_impact - theta)
+
+
+def plane_contacts(
+    geometry: Geometry,
+    *,
+    softness: float,
+    bounce: Float[Array, " C"],
+    friction: Float[Array, " C"],
+    displacing_fraction: Float[Array, " C"],
+    averaged: bool,
+) -> Contacts:
+    """Touches of a `plane_geometry`, with these coefficients of ``bounce`` and ``friction``.
+
+    They act where a node approaches by more than about ``softness`` [m]; ``averaged``: see
+    `ContactLaw`.
+    """
+    closing = meets_plane(geometry) * jax.nn.sigmoid(geometry.approach / softness)
+    nothing = jnp.zeros_like(closing)
+    return Contacts(
+        geometry=geometry,
+        damper=damper_of(closing),
+        spring=nothing,
+        rest_length=nothing,
+        touching=nothing + 1.0,
+        displacing_fraction=displacing_fraction,
+        acting=1.0 - geometry.time_of_impact * averaged,
+        bounce=closing * bounce,
+        friction=friction,
+        until_impact=geometry.time_of_impact * (1.0 - averaged),
+    )
+
+
+def pin_contacts(pins: PinJoints, geometry: Geometry) -> Contacts:
+    """Contacts that always act, in all directions, at the `PinJoints.geometry`."""
+    exists = pins.exists.astype(geometry.distance.dtype)
+    nothing = jnp.zeros_like(exists)
+    return Contacts(
+        geometry=geometry,
+        damper=damper_of(exists),
+        spring=nothing,
+        rest_length=nothing,
+        touching=nothing,
+        displacing_fraction=nothing,
+        acting=nothing + 1.0,
+        bounce=MAX_COUPLING * exists,
+        friction=nothing,
+        until_impact=nothing,
+        pinned=exists,
+    )

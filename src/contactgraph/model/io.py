@@ -18,9 +18,8 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.json_fields import parse_json
+from contactgraph.data.files import atomic_write, parse_json
 from contactgraph.model.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper.presets import PAPER_PRESETS, full_ab

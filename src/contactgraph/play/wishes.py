@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.json_fields import JsonFields, parse_json
+from contactgraph.data.files import JsonFields, parse_json
 
 SENSORS = ("exact", "broken", "blind")
 """The contact sensor as it is, with false alarms and misses, or without readings."""

@@ -7,8 +7,8 @@ from typing import Any
 import safetensors
 import safetensors.numpy
 
-from contactgraph.data.atomic_file import atomic_write
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.files import atomic_write
 from contactgraph.model.io import module_arrays, with_arrays
 from contactgraph.train.fit_state import FitProgress, FitState
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from contactgraph.data import InvalidInputError, atomic_write
-from contactgraph.data.json_fields import JsonFields, read_json_fields
+from contactgraph.data.files import JsonFields, read_json_fields
 from contactgraph_franka.perception.camera import Intrinsics, check_pose, transform
 
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from contactgraph.data import InvalidInputError
-from contactgraph.data.json_fields import parse_json
+from contactgraph.data.files import parse_json
 from contactgraph_franka.shared_ring import MEMORY
 from contactgraph_franka.sim.camera import CameraSettings
 
