@@ -18,11 +18,9 @@ from contactgraph.model import (
     ModelState,
     MotionNoise,
     check_motion_model,
-    control_sensitivity,
     correct_by_motion,
     ours,
     two_type_belief,
-    with_control_displacement,
 )
 from contactgraph.model.motion_likelihood import edge_log_ratios
 from contactgraph.model.motion_noise import PredictionNoise
@@ -43,11 +41,9 @@ class Judged(NamedTuple):
 @eqx.filter_jit
 def _judge(model, state, control, observed, nodes, noise) -> Judged:
     """`correct_by_motion`, and the evidence for it."""
-    sensitivity = control_sensitivity(model, state, nodes)
-    informed = with_control_displacement(model, state, sensitivity, control, nodes)
-    graph = model.encode_state(informed, nodes)
+    graph = model.encode_state(state, control, nodes)
     predicted, joint = model.predict_joint(state.belief, graph)
-    ratios = edge_log_ratios(model, graph, informed, joint, control, observed, noise)
+    ratios = edge_log_ratios(model, graph, joint, observed, noise)
     corrected = correct_by_motion(model, predicted, state, control, observed, nodes, noise)
     return Judged(predicted, ratios[:, 1, 1] - ratios[:, 0, 0], corrected)
 

@@ -51,10 +51,11 @@ class FreeMotion(eqx.Module):
         """At a state; ``speed`` [m/s] is about what driven nodes reach: dry friction holds a body
         at rest, and hardly matters to one that is driven."""
         alone = nodes._replace(candidate=jnp.zeros_like(nodes.candidate), planes=None)
-        driven = jnp.where(nodes.actuated[:, None], speed, state.velocity)
-        moving = dataclasses.replace(state, velocity=driven.astype(state.velocity.dtype))
-        still = jnp.zeros(model.control_size, moving.velocity.dtype)
-        free, _ = model.linear_step(moving, still, alone)
+        driven = jnp.where(nodes.actuated[:, None], speed * model.dt, 0.0)
+        driven = jnp.broadcast_to(driven, state.velocity.shape).astype(state.velocity.dtype)
+        still = jnp.zeros(model.control_size, state.velocity.dtype)
+        graph = model.encode_state(state, still, alone)
+        free = model.linearize(dataclasses.replace(graph, control_displacement=driven))
         B = free.B[:, : model.dimension, 1, :]
         square = jnp.einsum("ndu,ndv->uvn", B, B)
         size = len(square)

@@ -29,6 +29,8 @@ _LEAST_FORGOTTEN = -0.98
 _DRIVING_KINDS = {"force", "position", "displacement", "velocity"}
 """Kinds of control that move the body on which they act, by `Scene.control_kind`: a force, and
 those that a servo in the body follows."""
+_FORGETS = 0.25
+"""A damper times dt, from which it is that of a servo, and no drag."""
 _BETTER = 0.5
 """Residual of a servo as a share of a force's, or of one with a target in the world as a share of
 that of one without, if it is one."""
@@ -113,7 +115,8 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
 
     A target in the world has a spring, a displacement or a velocity only a damper, a force neither.
     Without a `Scene.control_kind` there is a damper, or a spring, if that halves the
-    residual: of exact data the sign of a rounding error would else decide. Raises
+    residual: of exact data the sign of a rounding error would else decide. There is a damper, too,
+    where it takes more of the velocity in a step than what a body moves through does. Raises
     `InvalidInputError` as `driving_components`.
     """
     trajectories = tuple(trajectories)
@@ -134,7 +137,9 @@ def fit_actuation(trajectories: Iterable[Trajectory], theta: float) -> dict[str,
             fit = _fit(steps, theta, dt, absolute=False, damped=False)
             for absolute in (False, True):
                 servo = _fit(steps, theta, dt, absolute=absolute, damped=True)
-                fit = servo if servo.residual < _BETTER * fit.residual else fit
+                forgets = dt * servo.damping > _FORGETS and not absolute
+                factor = 1.0 / _BETTER if forgets else _BETTER
+                fit = servo if servo.residual < factor * fit.residual else fit
         fits[name] = fit
     return fits
 
