@@ -14,7 +14,7 @@ from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.model.actuation import ActuatedMotion, Actuation
 from contactgraph.model.contacts import damper_of, solved
 from contactgraph.model.edges import GroupCapacity
-from contactgraph.model.types import EncodedGraph
+from contactgraph.model.types import Bodies, EncodedGraph
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
@@ -80,45 +80,34 @@ class BodyTypes(eqx.Module):
         raw = getattr(self, name)
         return jax.lax.stop_gradient(raw) if name in self.told else raw
 
-    def coasting(
-        self,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        turns: Float[Array, " N"],
-        dt: float,
-    ) -> Float[Array, "N G"]:
+    def coasting(self, bodies: Bodies, dt: float) -> Float[Array, "N G"]:
         """Velocity of every node after a step of ``dt`` [s] in which only the ground slows it; with
         weight as given, but in space, where outlines tell which bodies lie on a plane."""
-        damper, slowing = self.slowing(node_type)
-        if nodes.gravity is not None:
-            if nodes.planes is None or velocity.shape[1] != 6:
-                return velocity
+        damper, slowing = self.slowing(bodies.node_type)
+        if bodies.nodes.gravity is not None:
+            if bodies.nodes.planes is None or bodies.velocity.shape[1] != 6:
+                return bodies.velocity
             on_ground = rests_on_planes(
-                nodes,
-                position=position,
-                velocity=velocity,
-                distance=self._plane_distance(node_type),
-                turns=turns,
+                bodies.nodes,
+                position=bodies.position,
+                velocity=bodies.velocity,
+                distance=self._plane_distance(bodies.node_type),
+                turns=bodies.turns,
                 turn_length=self.turn_length,
                 length=self.length,
                 dt=dt,
             )
             damper, slowing = on_ground * damper, on_ground * slowing
-        energy = jnp.sum(self.mass_ratio(node_type, velocity.shape[1]) * velocity**2, axis=-1)
+        ratio = self.mass_ratio(bodies.node_type, bodies.velocity.shape[1])
+        energy = jnp.sum(ratio * bodies.velocity**2, axis=-1)
         speed = jnp.sqrt(energy + (_SMALL * self.speed) ** 2)
         left = jax.nn.relu(1.0 - dt * slowing / speed) / (1.0 + dt * damper)
-        return jax.lax.stop_gradient(left)[:, None] * velocity
+        return jax.lax.stop_gradient(left)[:, None] * bodies.velocity
 
     def control_displacement(
         self,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
+        bodies: Bodies,
         control: Float[Array, " U"],
-        nodes: Nodes,
-        node_type: Float[Array, "N types"],
-        turns: Float[Array, " N"],
         held: Joined,
         holds: Float[Array, " C"],
         *,
@@ -132,6 +121,7 @@ class BodyTypes(eqx.Module):
         touches another within the step. Bodies that hold each other count as rigid. No gradient
         reaches the parameters.
         """
+        position, velocity, nodes, node_type, turns = bodies
         motion = self.actuation(position, velocity, node_type, nodes, theta, dt)
         mass = self._coordinate_mass(nodes, node_type, motion, velocity.shape[1])
         mass, theta = jax.lax.stop_gradient((mass, theta))

@@ -41,6 +41,7 @@ from contactgraph.model.local_dynamics import LocalDynamics, SpringMassDamperDyn
 from contactgraph.model.motion_noise import PredictionNoise
 from contactgraph.model.rollout import rollout, take_step
 from contactgraph.model.types import (
+    Bodies,
     EncodedGraph,
     LinearDynamics,
     ModelState,
@@ -124,15 +125,11 @@ class ContactDynamics(eqx.Module):
         ``meeting`` is that of another graph of these positions, where it is known. ``as_touching``
         takes a contact distance of every edge so that its bodies touch at their closest approach.
         """
-        nodes = shaped(nodes, self.features, self.dimension)
-        node_type = self.features.node_type(nodes, position.dtype)
-        turns = self.features.turns(nodes, position.dtype)
-        every = all_pairs(len(position))
+        bodies = self._bodies(position, velocity, nodes)
+        nodes, edges = bodies.nodes, all_pairs(len(position))
         if self.neighbor_list is None and meeting is None:
-            meeting = self.features.meeting(nodes, position, every.edge_index)
-        bodies = position, velocity, node_type, nodes, turns
-        displacement = self._control_displacement(*bodies, control, before, meeting)
-        edges = every
+            meeting = self.features.meeting(nodes, position, edges.edge_index)
+        displacement = self._control_displacement(bodies, control, before, meeting)
         if self.neighbor_list is not None:
             moved = position, velocity, displacement, nodes.anchor, self.dt
             bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
@@ -141,14 +138,14 @@ class ContactDynamics(eqx.Module):
         assert meeting is not None
         # A step that exceeds a capacity predicts NaN for every node.
         moving = velocity if edges.edge_id is None else jnp.where(edges.fits, velocity, jnp.nan)
+        bodies = bodies._replace(velocity=moving)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
-        bodies = position, moving, node_type, nodes, turns
-        points = self._contact_points(*bodies, self.dt, touch, meeting, displacement)
+        points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
         edge_geometry = points.first(edges.edge_index.shape[1])
         if as_touching:
             closest = _TOUCHING * edge_geometry.closest_approach
             touch = jnp.maximum(edge_geometry.contact_distance, closest)
-            points = self._contact_points(*bodies, self.dt, touch, meeting, displacement)
+            points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
             edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
@@ -163,8 +160,8 @@ class ContactDynamics(eqx.Module):
             velocity=velocity,
             control=control,
             nodes=nodes,
-            node_type=node_type,
-            turns=turns,
+            node_type=bodies.node_type,
+            turns=bodies.turns,
             control_displacement=displacement,
             geometry=edge_geometry,
             contact_points=points,
@@ -179,25 +176,27 @@ class ContactDynamics(eqx.Module):
             group_capacity=None if capacity is None else capacity.groups,
         )
 
+    def _bodies(self, position: Array, velocity: Array, nodes: Nodes) -> Bodies:
+        nodes = shaped(nodes, self.features, self.dimension)
+        node_type = self.features.node_type(nodes, position.dtype)
+        turns = self.features.turns(nodes, position.dtype)
+        return Bodies(position, velocity, nodes, node_type, turns)
+
     def _control_displacement(
         self,
-        position: Array,
-        velocity: Array,
-        node_type: Array,
-        nodes: Nodes,
-        turns: Array,
-        control: Array,
+        bodies: Bodies,
+        control: Float[Array, " U"],
         before: ContactBelief,
         meeting: Meeting | None,
     ) -> Float[Array, "N D"] | None:
         """`EncodedGraph.control_displacement`; ``meeting``: of all pairs, where it is known."""
-        count, size = position.shape
+        nodes, (count, size) = bodies.nodes, bodies.position.shape
         edge_index, candidate = all_pairs(count).edge_index, nodes.candidate
         if before.edge_id is not None:
             edge_index, meeting = edge_nodes(before.edge_id, count), None
             candidate = candidate.at[before.edge_id].get(mode="fill", fill_value=False)
         if meeting is None and edge_index.shape[1]:
-            meeting = self.features.meeting(nodes, position, edge_index)
+            meeting = self.features.meeting(nodes, bodies.position, edge_index)
         jacobian = (
             jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.contact_jacobian
         )
@@ -206,36 +205,25 @@ class ContactDynamics(eqx.Module):
         held = Joined(edge_index, jacobian)
         holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
         displacement = self.local_dynamics.control_displacement(
-            position,
-            velocity,
+            bodies,
             control,
-            nodes,
-            node_type,
-            turns,
             held,
-            holds.astype(position.dtype),
+            holds.astype(bodies.position.dtype),
             dt=self.dt,
             capacity=None if self.neighbor_list is None else self.neighbor_list.groups,
         )
-        return None if displacement is None else displacement.astype(velocity.dtype)
+        return None if displacement is None else displacement.astype(bodies.velocity.dtype)
 
     def control_displacement(
         self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
     ) -> Float[Array, "N D"] | None:
         """`EncodedGraph.control_displacement`."""
-        nodes = shaped(nodes, self.features, self.dimension)
-        node_type = self.features.node_type(nodes, state.position.dtype)
-        turns = self.features.turns(nodes, state.position.dtype)
-        bodies = state.position, state.velocity, node_type, nodes, turns
-        return self._control_displacement(*bodies, control, state.belief, None)
+        bodies = self._bodies(state.position, state.velocity, nodes)
+        return self._control_displacement(bodies, control, state.belief, None)
 
     def _contact_points(
         self,
-        position: Array,
-        velocity: Array,
-        node_type: Array,
-        nodes: Nodes,
-        turns: Array,
+        bodies: Bodies,
         dt: float,
         contact_distance: Float[Array, "*E"] | float,
         meeting: Meeting,
@@ -244,11 +232,11 @@ class ContactDynamics(eqx.Module):
         """`EncodedGraph.contact_points` of a step of ``dt`` [s]."""
         return geometry(
             meeting,
-            velocity=velocity,
+            velocity=bodies.velocity,
             dt=dt,
             contact_distance=jnp.resize(contact_distance, meeting.edge_index.shape[1:]),
             control_displacement=displacement,
-            coasting=self.local_dynamics.coasting(position, velocity, node_type, nodes, turns, dt),
+            coasting=self.local_dynamics.coasting(bodies, dt),
             speed=self.features.speed,
         )
 
@@ -315,8 +303,8 @@ class ContactDynamics(eqx.Module):
             at = jax.lax.stop_gradient(at)
             meeting = self.features.meeting(nodes, at[0], graph.geometry.edge_index)
             touch = graph.geometry.contact_distance
-            bodies = *at, graph.node_type, nodes, graph.turns
-            points = self._contact_points(*bodies, dt, touch, meeting, None)
+            bodies = Bodies(at[0], at[1], nodes, graph.node_type, graph.turns)
+            points = self._contact_points(bodies, dt, touch, meeting, None)
             there = dataclasses.replace(
                 graph,
                 position=at[0],

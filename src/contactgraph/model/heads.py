@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.bodies.geometry import sum_at_nodes
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
+from contactgraph.model.types import Bodies, EncodedGraph, SpringMassDamper
 
 _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
@@ -135,17 +135,9 @@ def with_hinge_springs(
 class WithoutContacts(eqx.Module):
     """What local dynamics, or their heads, answer that know of no contact within a step."""
 
-    def coasting(
-        self,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
-        turns: Float[Array, " N"],
-        dt: float,
-    ) -> Float[Array, "N G"]:
+    def coasting(self, bodies: Bodies, dt: float) -> Float[Array, "N G"]:
         """Velocity of every node, m/s, after a step of ``dt`` [s] in which nothing acts on it."""
-        return velocity
+        return bodies.velocity
 
     def control_displacement(self, *given: Any, **step: Any) -> Float[Array, "N G"] | None:
         """See `ContactLaw.control_displacement`; None: it is left out of account."""

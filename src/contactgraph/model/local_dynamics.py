@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model.heads import WithoutContacts
 from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper
+from contactgraph.model.types import Bodies, EncodedGraph, LinearDynamics, SpringMassDamper
 
 
 class ThetaMethod(eqx.Module):
@@ -97,9 +97,9 @@ class SpringMassDamperDynamics(LocalDynamics):
         """The linear step of every node."""
         return self.discretization(self.parameters(graph, dt), dt)
 
-    def coasting(self, *step: Any) -> Float[Array, "N G"]:
+    def coasting(self, bodies: Bodies, dt: float) -> Float[Array, "N G"]:
         """See `ContactLaw.coasting`."""
-        return self.head.coasting(*step)
+        return self.head.coasting(bodies, dt)
 
     def control_displacement(self, *step: Any, **further: Any) -> Float[Array, "N G"] | None:
         """See `ContactLaw.control_displacement`."""

@@ -1,6 +1,6 @@
 """Types that the parts of a model exchange: state, nodes, linear dynamics, node parameters."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -164,6 +164,20 @@ def own_component(
     """
     dimension = inverse_mass.shape[-1]
     return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
+
+
+class Bodies(NamedTuple):
+    """The bodies of a step, and how they move."""
+
+    position: Float[Array, "N G"]
+    """m"""
+    velocity: Float[Array, "N G"]
+    """m/s"""
+    nodes: Nodes
+    node_type: Float[Array, "N node_types"]
+    """One-hot."""
+    turns: Float[Array, " N"]
+    """1 for bodies that turn, else 0."""
 
 
 class EncodedGraph(eqx.Module):
