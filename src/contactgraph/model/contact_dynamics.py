@@ -29,7 +29,6 @@ from contactgraph.model.contact_belief import (
 from contactgraph.model.edge_inference import EdgeInference
 from contactgraph.model.edges import (
     EdgeList,
-    Edges,
     NoCutoff,
     SmoothCutoff,
     all_pairs,
@@ -133,7 +132,9 @@ class ContactDynamics(eqx.Module):
         if self.neighbor_list is not None:
             moved = position, velocity, displacement, nodes.anchor, self.dt
             bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
-            edges = self._listed(position, bound, nodes.mask)
+            assert isinstance(self.cutoff, SmoothCutoff)
+            places = position[:, : self.dimension]
+            edges = self.neighbor_list(places, bound, nodes.mask, self.cutoff.outer)
             meeting = self.features.meeting(nodes, position, edges.edge_index)
         assert meeting is not None
         # A step that exceeds a capacity predicts NaN for every node.
@@ -197,11 +198,9 @@ class ContactDynamics(eqx.Module):
             candidate = candidate.at[before.edge_id].get(mode="fill", fill_value=False)
         if meeting is None and edge_index.shape[1]:
             meeting = self.features.meeting(nodes, bodies.position, edge_index)
-        jacobian = (
-            jnp.ones((2, 0, self.dimension, size)) if meeting is None else meeting.contact_jacobian
-        )
-        # The nearest places of all edges come first.
-        jacobian = jacobian[:, : edge_index.shape[1]]
+        jacobian = jnp.ones((2, 0, self.dimension, size))
+        if meeting is not None:  # The nearest places of all edges come first.
+            jacobian = meeting.contact_jacobian[:, : edge_index.shape[1]]
         held = Joined(edge_index, jacobian)
         holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
         displacement = self.local_dynamics.control_displacement(
@@ -243,10 +242,6 @@ class ContactDynamics(eqx.Module):
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
         return spread_over_types(self.prior(geometry) * weight, self.inference.edge_types)
-
-    def _listed(self, position: Array, bound: Float[Array, " N"], mask: Array) -> Edges:
-        assert self.neighbor_list is not None and isinstance(self.cutoff, SmoothCutoff)
-        return self.neighbor_list(position[:, : self.dimension], bound, mask, self.cutoff.outer)
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""

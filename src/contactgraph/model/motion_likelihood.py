@@ -11,8 +11,6 @@ and the predicted probabilities of the pairs are multiplied by $e^{\ell_{ij}}$. 
 predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -123,8 +121,12 @@ def edge_log_ratios(
     """
 
     noise = noise.at(graph.velocity, model.dt)
-    step = graph.position, graph.velocity, graph.control, graph.nodes
-    moved = partial(motion_given_types, model, *step, meeting=graph.meeting)
+
+    def moved(types: Float[Array, "E K"]) -> Motion:
+        return motion_given_types(
+            model, graph.position, graph.velocity, graph.control, graph.nodes, types, graph.meeting
+        )
+
     edge_types = joint.shape[-1]
     if len(joint) == 0:  # a single body
         return jnp.zeros(joint.shape, graph.weight.dtype)

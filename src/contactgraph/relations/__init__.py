@@ -60,8 +60,7 @@ class RelationModel(ContactDynamics):
         as_touching: bool = False,
     ) -> EncodedGraph:
         """As of all models, with a last part of the embedding: 1 for active types within range."""
-        step = position, velocity, control, nodes, before
-        graph = super().encode(*step, meeting, as_touching)
+        graph = super().encode(position, velocity, control, nodes, before, meeting, as_touching)
         types = self.features.node_type(nodes, position.dtype)
         between = graph.geometry.distance, graph.geometry.edge_index, types
         acts = jnp.max(self.local_dynamics.strength(*between), axis=0) > _WEAK
