@@ -11,7 +11,7 @@ import numpy as np
 from contactgraph.control import MPC, AffinePolicy, ControlLimits, Plan, PlanStatus, chain_cost
 from contactgraph.envs import PickupTask
 from contactgraph.model import load_model, scene_nodes, shipped_model
-from contactgraph.model.rollout import rollout
+from contactgraph.model.step import rollout
 
 
 class MPPI(eqx.Module):

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from model_scenes import geometry_of
 
+from contactgraph.dynamics.contacts import Contacts
+from contactgraph.dynamics.free_bodies import FreeBodies
 from contactgraph.model import ThetaMethod, from_physical, stack_state
-from contactgraph.model.contacts import Contacts
-from contactgraph.model.free_bodies import FreeBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

@@ -15,6 +15,7 @@ from jax.test_util import check_grads
 from model_scenes import nodes_of
 
 from contactgraph.data import InvalidInputError, TrajectoryBatch
+from contactgraph.inference.contact_belief import late_rate
 from contactgraph.model import (
     ContactBelief,
     ContactSensor,
@@ -26,7 +27,6 @@ from contactgraph.model import (
     save_model,
     two_type_belief,
 )
-from contactgraph.model.contact_belief import late_rate
 from contactgraph.model.filter import filter_trajectory
 
 SENSOR = ContactSensor(false_alarm=0.02, miss=0.1)

@@ -11,6 +11,8 @@ import pytest
 from model_scenes import follow, slippery_bodies
 
 from contactgraph.data import InvalidInputError, Scene
+from contactgraph.dynamics.body_types import PACE
+from contactgraph.dynamics.contact_law import ContactLaw
 from contactgraph.model import (
     ActuationFit,
     ContactBelief,
@@ -21,8 +23,6 @@ from contactgraph.model import (
     ours,
     scene_nodes,
 )
-from contactgraph.model.body_types import PACE
-from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.filter import check_fit
 from contactgraph.model.presets import PLANE
 

@@ -10,8 +10,8 @@ import pytest
 from model_scenes import geometry_of
 
 from contactgraph.bodies.geometry import Geometry
-from contactgraph.model.contacts import Contacts
-from contactgraph.model.free_bodies import ContactMotion, FreeBodies
+from contactgraph.dynamics.contacts import Contacts
+from contactgraph.dynamics.free_bodies import ContactMotion, FreeBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 DT, TOUCH = 0.05, 0.08

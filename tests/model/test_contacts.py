@@ -12,10 +12,10 @@ from model_scenes import geometry_of
 from contactgraph.bodies.planes import plane_geometry
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.dynamics.contacts import Contacts
+from contactgraph.dynamics.free_bodies import FreeBodies
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
-from contactgraph.model.contacts import Contacts
-from contactgraph.model.free_bodies import FreeBodies
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

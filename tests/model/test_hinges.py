@@ -8,7 +8,7 @@ import pytest
 from model_scenes import jitted_geometry
 
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.model.heads import HingeConstraint, hinge_constraint
+from contactgraph.dynamics.hinges import HingeConstraint, hinge_constraint
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 HINGE, ARM = np.array([0.2, -0.1]), np.array([0.3, 0.4])

@@ -12,6 +12,7 @@ import pytest
 from model_scenes import follow, slippery_bodies
 from scipy.spatial.transform import Rotation
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.planes import plane_points
 from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
@@ -20,10 +21,9 @@ from contactgraph.data import Scene, generalized_coordinates
 from contactgraph.data.outlines import hull_rows, outline_moments
 from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
+from contactgraph.dynamics.body_types import DECELERATION, PACE
+from contactgraph.inference.contact_belief import nothing_active
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
-from contactgraph.model.body_types import DECELERATION, PACE
-from contactgraph.model.contact_belief import nothing_active
-from contactgraph.model.types import EncodedGraph
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from contactgraph.dynamics.linear_dynamics import own_component
 from contactgraph.model import (
     LinearDynamics,
     SpringMassDamper,
@@ -13,7 +14,6 @@ from contactgraph.model import (
     from_physical,
     stack_state,
 )
-from contactgraph.model.types import own_component
 
 
 def random_step(nodes: int, dimension: int, size: int, lead: tuple[int, ...] = ()):

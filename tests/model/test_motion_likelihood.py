@@ -12,6 +12,7 @@ from model_scenes import DT, compiled, nodes_of, preset, with_random_weights
 from motion_worlds import Keeps, in_a_row, observed_after, rigid_world
 
 from contactgraph.data import InvalidInputError
+from contactgraph.inference.motion_noise import PredictionNoise
 from contactgraph.model import (
     ContactBelief,
     ModelConfig,
@@ -23,7 +24,6 @@ from contactgraph.model import (
     two_type_belief,
 )
 from contactgraph.model.motion_likelihood import edge_log_ratios
-from contactgraph.model.motion_noise import PredictionNoise
 
 NOISE = MotionNoise()
 REST = jnp.zeros(2)

@@ -13,6 +13,7 @@ import pytest
 from model_scenes import DT, assert_same, crowd, hinged, nodes_of, preset
 
 from contactgraph.bodies.geometry import travel_bound
+from contactgraph.bodies.graph import edge_nodes
 from contactgraph.data import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.large_scenes import NeighborList, allocate_neighbor_list
@@ -30,7 +31,6 @@ from contactgraph.model import (
     save_model,
     two_type_belief,
 )
-from contactgraph.model.edges import edge_nodes
 
 FAR = 0.25
 

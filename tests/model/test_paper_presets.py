@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from model_scenes import DT, nodes_of, state_at, with_random_weights
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.data.graph import pair_indices
+from contactgraph.inference.contact_belief import nothing_active
 from contactgraph.model import (
     PAPER_PRESETS,
     ContactDynamics,
@@ -17,9 +19,7 @@ from contactgraph.model import (
     PerDegreeHead,
     SpringMassDamper,
 )
-from contactgraph.model.contact_belief import nothing_active
 from contactgraph.model.paper import FreeLinearDynamics
-from contactgraph.model.types import EncodedGraph
 
 CONFIG = ModelConfig(2, 2, DT, 0.1, width=8)
 NODES = nodes_of(3)

@@ -18,8 +18,8 @@ from contactgraph.evaluate.open_loop_metrics import pin_drift
 from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps, pin_gaps
 from contactgraph.identify import Units, identify, in_units
 from contactgraph.identify.shapes import CONTACT_DISTANCE
+from contactgraph.inference.contact_belief import nothing_active
 from contactgraph.model import ContactDynamics, ModelConfig, scene_nodes
-from contactgraph.model.contact_belief import nothing_active
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

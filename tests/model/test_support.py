@@ -10,6 +10,7 @@ import pytest
 from model_scenes import jitted_geometry, with_random_weights
 
 from contactgraph.data import pair_indices
+from contactgraph.dynamics.free_bodies import lifted_fraction
 from contactgraph.large_scenes.block_inverse import GroupsOf
 from contactgraph.model import (
     PRESETS,
@@ -19,7 +20,6 @@ from contactgraph.model import (
     ModelState,
     Nodes,
 )
-from contactgraph.model.free_bodies import lifted_fraction
 
 jitted_fraction = eqx.filter_jit(lifted_fraction)
 

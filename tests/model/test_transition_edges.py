@@ -12,6 +12,13 @@ import pytest
 from model_scenes import DT, assert_same, compiled, nodes_of, slippery_bodies, with_random_weights
 
 from contactgraph.data import InvalidInputError
+from contactgraph.inference.contact_belief import (
+    nothing_active,
+    posterior_by_motion,
+    without_change,
+)
+from contactgraph.inference.edge_inference import EdgeClock, PriorEdges
+from contactgraph.inference.features import stillness
 from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
     ContactBelief,
@@ -24,9 +31,6 @@ from contactgraph.model import (
     correct,
     ours,
 )
-from contactgraph.model.contact_belief import nothing_active, posterior_by_motion, without_change
-from contactgraph.model.edge_inference import EdgeClock, PriorEdges
-from contactgraph.model.features import stillness
 
 STILL, NOTHING = jnp.zeros(2), nothing_active(3)
 

@@ -11,8 +11,8 @@ import pytest
 from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
+from contactgraph.inference.contact_belief import nothing_active
 from contactgraph.model import ContactSensor, ModelConfig, ours
-from contactgraph.model.contact_belief import nothing_active
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import judged_steps as reports_module
 from contactgraph.train.batch import Window

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import pytest
 from training import BASELINES, CONFIG, first_state, split, trained_on
 
+from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.data import pad_trajectories
 from contactgraph.data.windows import window_weights
 from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
-from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.model.paper.presets import PAPER_PRESETS, full_ab, paper_literal
 from contactgraph.model.presets import Preset
 from contactgraph.train import FitStatus

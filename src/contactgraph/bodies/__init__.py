@@ -1,1 +1,1 @@
-"""Geometry of bodies: their shapes, where and when they meet, and what moves there."""
+"""Bodies as a graph: their shapes, where and when they meet, and messages along edges."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.identify import Facts, identify, relation_facts, scene_facts
+from contactgraph.inference.contact_belief import first_holding_type
 from contactgraph.model import (
     PAPER_PRESETS,
     PRESETS,
@@ -26,7 +27,6 @@ from contactgraph.model import (
     shipped_model,
     shipped_models,
 )
-from contactgraph.model.contact_belief import first_holding_type
 
 if TYPE_CHECKING:
     from contactgraph.train import HeldOutBaselines

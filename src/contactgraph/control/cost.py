@@ -14,9 +14,9 @@ from jaxtyping import Array, Float, Int
 from contactgraph.control.box_qp import is_known
 from contactgraph.control.contact_cost import ContactCost
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.inference.features import turn_length_of
 from contactgraph.model import ContactBelief
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import turn_length_of
 
 _ROUNDING = 1e-5
 """Of the entries of a positive semi-definite matrix in single precision, relative."""

@@ -23,9 +23,9 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
+from contactgraph.inference.contact_belief import first_holding_type
+from contactgraph.inference.features import turn_length_of
 from contactgraph.model import ContactBelief, LinearDynamics, StepModel, default_sensor
-from contactgraph.model.contact_belief import first_holding_type
-from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     FilteredTrajectory,
     check_fit,

@@ -18,8 +18,11 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
+from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamperDynamics
 from contactgraph.evaluate.statistics import finite_or_none
 from contactgraph.evaluate.trajectory_prediction import filtered_beliefs
+from contactgraph.inference.features import turn_length_of
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -31,15 +34,12 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import (
     check_fit,
     dtype_of,
     on_device,
     trajectory_for,
 )
-from contactgraph.model.local_dynamics import SpringMassDamperDynamics
-from contactgraph.model.types import SpringMassDamper
 
 
 @dataclass(frozen=True, eq=False)

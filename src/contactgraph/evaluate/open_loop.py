@@ -90,7 +90,7 @@ def evaluate_open_loop(
 
     ``faults`` corrupts the contacts that correct the belief; scores are against the recorded truth.
     ``sensor`` has the same error rates and delay by default, and without faults is the model's
-    `default_sensor`. With ``motion_noise`` (see `contactgraph.model.motion_noise`) the observed
+    `default_sensor`. With ``motion_noise`` (see `contactgraph.inference.motion_noise`) the observed
     motion corrects the belief, too, and beliefs corrected by motion alone are evaluated besides.
     ``baselines``: predictions beside those without fitting, by name (``least_squares`` and ``gnn``
     are null otherwise). ``metrics``: further metrics by name, each a function of the

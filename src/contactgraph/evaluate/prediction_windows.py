@@ -30,9 +30,9 @@ from contactgraph.evaluate.trajectory_prediction import (
     largest_pin_gaps,
     predict_trajectory,
 )
+from contactgraph.inference.features import turn_length_of
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
-from contactgraph.model.features import turn_length_of
 from contactgraph.model.filter import trajectory_for
 
 

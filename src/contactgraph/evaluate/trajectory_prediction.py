@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.graph import edge_count
 from contactgraph.data import Scene, TrajectoryBatch
 from contactgraph.model import (
     ContactBelief,
@@ -19,7 +20,6 @@ from contactgraph.model import (
     rollout,
 )
 from contactgraph.model.body_mass import MassBelief, with_masses
-from contactgraph.model.edges import edge_count
 from contactgraph.model.filter import filter_trajectory
 
 _SMALL_GRAPH = 28

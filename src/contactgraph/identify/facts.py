@@ -28,8 +28,8 @@ from contactgraph.identify.shapes import (
     with_shapes,
 )
 from contactgraph.identify.units import Units, in_units, units_of
+from contactgraph.inference.motion_noise import in_lengths
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.motion_noise import in_lengths
 from contactgraph.model.presets import ModelConfig, Preset
 
 _AVERAGED = 0.95

@@ -8,8 +8,8 @@ import scipy
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory import Trajectory
+from contactgraph.dynamics.actuation import ActuationFit
 from contactgraph.identify.shapes import hinged_nodes, pinned_group, pinned_motion
-from contactgraph.model.actuation import ActuationFit
 
 _UNMOVED = 0.02
 """Change of another body's velocity, as a share of the own one's root mean square, up to which a

@@ -6,9 +6,9 @@ import numpy as np
 import scipy
 
 from contactgraph.data.trajectory import Trajectory
+from contactgraph.dynamics.actuation import ActuationFit
 from contactgraph.identify.free_motion import driving_components, driving_control
 from contactgraph.identify.shapes import hinged_nodes
-from contactgraph.model.actuation import ActuationFit
 from contactgraph.model.presets import PLANE, Impacts
 
 _KINKS = 0.05

@@ -14,13 +14,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.geometry import travel_bound
+from contactgraph.bodies.graph import Edges, edge_nodes
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_count, pair_indices
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.inference.prior import SmoothCutoff
 from contactgraph.large_scenes.block_inverse import GroupsOf
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edges import Edges, SmoothCutoff, edge_nodes
-from contactgraph.model.types import Nodes, StepModel
+from contactgraph.model.step import StepModel
 
 CELLS_FROM = 32
 """Nodes from which lists use cells, and coupled bodies are solved by groups."""

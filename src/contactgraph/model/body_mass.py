@@ -18,18 +18,18 @@ from jaxtyping import Array, Float
 from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.body_types import PACE
-from contactgraph.model.contact_belief import ContactBelief
+from contactgraph.dynamics.body_types import PACE
+from contactgraph.dynamics.contact_law import ContactLaw
+from contactgraph.inference.contact_belief import ContactBelief
+from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.contact_law import ContactLaw
 from contactgraph.model.motion_likelihood import (
     both_finite,
     check_motion_model,
     most_probable,
     motion_given_types,
 )
-from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.types import ModelState, StepModel, scene_nodes
+from contactgraph.model.step import ModelState, StepModel, scene_nodes
 
 _ITERATIONS = 2
 """Linearisations a step: an impact is far from linear in the mass."""

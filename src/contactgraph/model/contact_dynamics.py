@@ -14,11 +14,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry, Joined, geometry, travel_bound
+from contactgraph.bodies.graph import (
+    Bodies,
+    EdgeList,
+    EncodedGraph,
+    all_pairs,
+    edge_count,
+    edge_nodes,
+)
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
+from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.data.turns import coordinate_count
-from contactgraph.model.contact_belief import (
+from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper
+from contactgraph.dynamics.local_dynamics import LocalDynamics, SpringMassDamperDynamics
+from contactgraph.inference.contact_belief import (
     ArgmaxSample,
     ContactBelief,
     ContactSensor,
@@ -26,27 +37,11 @@ from contactgraph.model.contact_belief import (
     nothing_active,
     spread_over_types,
 )
-from contactgraph.model.edge_inference import EdgeInference
-from contactgraph.model.edges import (
-    EdgeList,
-    NoCutoff,
-    SmoothCutoff,
-    all_pairs,
-    edge_count,
-    edge_nodes,
-)
-from contactgraph.model.features import Features, shaped
-from contactgraph.model.local_dynamics import LocalDynamics, SpringMassDamperDynamics
-from contactgraph.model.motion_noise import PredictionNoise
-from contactgraph.model.rollout import rollout, take_step
-from contactgraph.model.types import (
-    Bodies,
-    EncodedGraph,
-    LinearDynamics,
-    ModelState,
-    Nodes,
-    SpringMassDamper,
-)
+from contactgraph.inference.edge_inference import EdgeInference
+from contactgraph.inference.features import Features, shaped
+from contactgraph.inference.motion_noise import PredictionNoise
+from contactgraph.inference.prior import NoCutoff, SmoothCutoff
+from contactgraph.model.step import ModelState, rollout, take_step
 
 _TOUCHING = 1.02
 """Contact distance of an edge assumed active, in units of its distance: clearly touching."""

@@ -16,13 +16,15 @@ from contactgraph.data import (
     TrajectoryBatch,
     pad_trajectories,
 )
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.inference.contact_belief import ContactBelief, ContactSensor, cast_like, correct
+from contactgraph.inference.features import turn_length_of
+from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
-from contactgraph.model.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import turn_length_of
 from contactgraph.model.motion_likelihood import check_motion_model, correct_by_motion
-from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.types import LinearDynamics, ModelState, Nodes, StepModel
+from contactgraph.model.step import ModelState, StepModel
 
 
 def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:

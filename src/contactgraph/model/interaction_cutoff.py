@@ -2,10 +2,10 @@
 
 import dataclasses
 
+from contactgraph.bodies.message_passing import EdgeNetwork
+from contactgraph.dynamics.contact_law import ContactLaw
+from contactgraph.inference.prior import SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edges import SmoothCutoff
-from contactgraph.model.message_passing import EdgeNetwork
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,7 @@ import safetensors.numpy
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.files import atomic_write, parse_json
-from contactgraph.model.contact_belief import ContactSensor
+from contactgraph.inference.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper.presets import PAPER_PRESETS, full_ab
 from contactgraph.model.presets import (

@@ -15,18 +15,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import (
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.inference.contact_belief import (
     ContactBelief,
     cast_like,
     likeliest_type,
     pair_posterior,
     posterior_by_motion,
 )
+from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.motion_noise import Motion, MotionNoise
-from contactgraph.model.types import EncodedGraph, ModelState, Nodes
+from contactgraph.model.step import ModelState
 
 _CONSIDERED = 8
 """Edges considered in a step, nearest first: rarely do more bodies make contact at once, and the

@@ -18,21 +18,21 @@ import numpy as np
 import scipy
 from jaxtyping import PRNGKeyArray
 
+from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.actuation import Actuation, ActuationFit
-from contactgraph.model.body_types import DECELERATION, PACE
-from contactgraph.model.contact_belief import ArgmaxSample
-from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edge_inference import EdgeInference, PriorEdges, TransitionEdges
-from contactgraph.model.edges import ClosestApproachPrior, NoCutoff, SmoothCutoff
-from contactgraph.model.features import InvariantFeatures
-from contactgraph.model.local_dynamics import (
+from contactgraph.dynamics.actuation import Actuation, ActuationFit
+from contactgraph.dynamics.body_types import DECELERATION, PACE
+from contactgraph.dynamics.contact_law import ContactLaw
+from contactgraph.dynamics.local_dynamics import (
     SpringMassDamperDynamics,
     ThetaMethod,
 )
-from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
-from contactgraph.model.motion_noise import PredictionNoise
+from contactgraph.inference.contact_belief import ArgmaxSample
+from contactgraph.inference.edge_inference import EdgeInference, PriorEdges, TransitionEdges
+from contactgraph.inference.features import InvariantFeatures
+from contactgraph.inference.motion_noise import PredictionNoise
+from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff, SmoothCutoff
+from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper import MemorylessEdges, RecurrentEdges
 
 PLANE = "plane"

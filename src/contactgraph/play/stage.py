@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.data import InvalidInputError, Scene, pair_indices
+from contactgraph.dynamics.local_dynamics import SpringMassDamperDynamics
 from contactgraph.envs.contract import DisturbableTask, Feedback, Observation, Task
 from contactgraph.evaluate import MPCPolicy, SensorFaults, mpc_policy
 from contactgraph.evaluate.control_task import switches_of
 from contactgraph.model import ContactDynamics, ModelState, MotionNoise, Nodes, with_masses
-from contactgraph.model.local_dynamics import SpringMassDamperDynamics
 from contactgraph.play.wishes import StageChoice
 
 EPISODE_S = 60.0

@@ -13,15 +13,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.graph import EncodedGraph, all_pairs
 from contactgraph.bodies.shapes import Meeting
-from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.model.contact_belief import ContactBelief, nothing_active
+from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
+from contactgraph.inference.contact_belief import ContactBelief, nothing_active
+from contactgraph.inference.features import InvariantFeatures
+from contactgraph.inference.motion_noise import Motion, MotionNoise
+from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edges import ClosestApproachPrior, NoCutoff, all_pairs
-from contactgraph.model.features import InvariantFeatures
-from contactgraph.model.motion_noise import Motion, MotionNoise
 from contactgraph.model.presets import ModelConfig
-from contactgraph.model.types import EncodedGraph, ModelState, Nodes
+from contactgraph.model.step import ModelState
 from contactgraph.relations.force_laws import ExpectedTypes, RelationDynamics
 from contactgraph.relations.inference import (
     MotionSums,

@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from contactgraph.model.local_dynamics import LocalDynamics, ThetaMethod
-from contactgraph.model.message_passing import EdgeNetwork
-from contactgraph.model.types import EncodedGraph, LinearDynamics, SpringMassDamper, own_component
+from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.bodies.message_passing import EdgeNetwork
+from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
+from contactgraph.dynamics.local_dynamics import LocalDynamics, ThetaMethod
 
 _SOFT = 0.1
 """Factor on the first outputs of a law's network: relations start weak, and must earn more."""

@@ -25,8 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from contactgraph.model.contact_belief import ContactBelief, EdgeMemory, without_change
-from contactgraph.model.edge_inference import EdgeInference
+from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory, without_change
+from contactgraph.inference.edge_inference import EdgeInference
 
 _SWEEPS = 8
 _LEAST = 1e-6

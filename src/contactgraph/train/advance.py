@@ -9,8 +9,8 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.inference.features import InvariantFeatures
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import InvariantFeatures
 from contactgraph.train.batch import BatchSplit, Window, WindowSource, add_distractor
 from contactgraph.train.config import TrainConfig
 from contactgraph.train.fit_state import FitState

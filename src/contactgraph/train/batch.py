@@ -13,9 +13,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import PROPERTIES, TrajectoryBatch
+from contactgraph.data.trajectory_batch import PROPERTIES, Nodes, TrajectoryBatch
 from contactgraph.data.windows import Windows
-from contactgraph.model.types import Nodes
 
 Tree = TypeVar("Tree")
 

@@ -16,20 +16,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_indices
-from contactgraph.model.body_mass import mass_score
-from contactgraph.model.contact_belief import (
+from contactgraph.inference.contact_belief import (
     ContactBelief,
     ContactSensor,
     correct,
     posterior_by_motion,
 )
+from contactgraph.inference.features import stillness
+from contactgraph.inference.motion_noise import Motion
+from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.features import stillness
-from contactgraph.model.motion_noise import Motion
-from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
 from contactgraph.train.judged_steps import (
     JudgedSteps,

@@ -8,8 +8,8 @@ import jax
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from contactgraph.bodies.graph import EdgeList
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edges import EdgeList
 from contactgraph.train.held_out import HeldOutBaselines
 
 _TIE = 1e-3

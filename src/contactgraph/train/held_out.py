@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.graph import edge_count
+from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.data.windows import moving_bodies
-from contactgraph.model.contact_belief import ContactBelief, nothing_active
+from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edges import edge_count
-from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.train.batch import Window, WindowSource
 from contactgraph.train.filter_loss import corrected_beliefs
 from contactgraph.train.judged_steps import JudgedSteps, with_window_masses

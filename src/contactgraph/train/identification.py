@@ -13,11 +13,11 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
+from contactgraph.bodies.graph import edge_count
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import window_weights
+from contactgraph.dynamics.contact_law import ContactLaw
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.contact_law import ContactLaw
-from contactgraph.model.edges import edge_count
 from contactgraph.train.batch import Window, window_source
 from contactgraph.train.filter_loss import given_steps
 from contactgraph.train.loss import chunked_vmap

@@ -8,19 +8,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.shapes import Meeting
-from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses, with_masses
-from contactgraph.model.contact_belief import (
+from contactgraph.inference.contact_belief import (
     ContactBelief,
     first_holding_type,
     late_rate,
     posterior_by_motion,
     without_change,
 )
+from contactgraph.inference.motion_noise import Motion
+from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses, with_masses
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import edge_log_ratios, motion_noise
-from contactgraph.model.motion_noise import Motion
-from contactgraph.model.types import EncodedGraph, ModelState
+from contactgraph.model.step import ModelState
 from contactgraph.train.batch import WholeTrajectories, Window, draw_by
 from contactgraph.train.loss import WindowSteps
 

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from contactgraph.bodies.graph import EncodedGraph, edge_count
 from contactgraph.bodies.shapes import Meeting
-from contactgraph.model.contact_belief import ContactBelief, nothing_active
+from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.inference.contact_belief import ContactBelief, nothing_active
+from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edges import edge_count
-from contactgraph.model.motion_noise import Motion
-from contactgraph.model.types import EncodedGraph, LinearDynamics, ModelState
+from contactgraph.model.step import ModelState
 from contactgraph.train.batch import Window, WindowSource
 
 _Result = TypeVar("_Result")

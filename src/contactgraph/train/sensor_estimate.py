@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.data.dataset import Dataset, with_edge_labels
 from contactgraph.data.trajectory_batch import pad_trajectories
-from contactgraph.model.contact_belief import (
+from contactgraph.inference.contact_belief import (
     ContactBelief,
     ContactSensor,
     correct,
@@ -19,7 +20,6 @@ from contactgraph.model.contact_belief import (
 )
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.filter import on_device
-from contactgraph.model.types import EncodedGraph
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import check_contacts, encoded_steps, predict_and_score
 from contactgraph.train.judged_steps import judge_steps, with_window_masses

@@ -7,19 +7,14 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry
-from contactgraph.model.contact_belief import ContactBelief, without_change
-from contactgraph.model.edge_inference import EdgeInference
-from contactgraph.model.features import Features
-from contactgraph.model.heads import WithoutContacts
-from contactgraph.model.local_dynamics import LocalDynamics
-from contactgraph.model.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
-from contactgraph.model.types import (
-    EncodedGraph,
-    LinearDynamics,
-    Nodes,
-    SpringMassDamper,
-    own_component,
-)
+from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
+from contactgraph.dynamics.local_dynamics import LocalDynamics, WithoutContacts
+from contactgraph.inference.contact_belief import ContactBelief, without_change
+from contactgraph.inference.edge_inference import EdgeInference
+from contactgraph.inference.features import Features
 
 
 class AbsoluteFeatures(Features):

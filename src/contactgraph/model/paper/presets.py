@@ -10,12 +10,16 @@ from functools import partial
 import jax
 from jaxtyping import PRNGKeyArray
 
-from contactgraph.model.contact_belief import ArgmaxSample, GumbelSample
+from contactgraph.bodies.message_passing import MessagePassing, TypedMessagePassing
+from contactgraph.dynamics.local_dynamics import (
+    LocalDynamics,
+    SpringMassDamperDynamics,
+    ThetaMethod,
+)
+from contactgraph.inference.contact_belief import ArgmaxSample, GumbelSample
+from contactgraph.inference.edge_inference import EdgeInference, PriorEdges
+from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.edge_inference import EdgeInference, PriorEdges
-from contactgraph.model.edges import ClosestApproachPrior, NoCutoff
-from contactgraph.model.local_dynamics import LocalDynamics, SpringMassDamperDynamics, ThetaMethod
-from contactgraph.model.message_passing import MessagePassing, TypedMessagePassing
 from contactgraph.model.paper import (
     AbsoluteFeatures,
     DistancePrior,

@@ -1,4 +1,4 @@
-"""Steps and rollouts of any locally linear model under given controls."""
+"""State of a model, and steps and rollouts of any locally linear model under given controls."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -8,26 +8,63 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from contactgraph.model.contact_belief import ContactBelief, cast_like
-from contactgraph.model.types import LinearDynamics, ModelState, Nodes
+from contactgraph.data import Scene
+from contactgraph.data.trajectory_batch import Nodes, pad_nodes
+from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.inference.contact_belief import ContactBelief, cast_like
 
 
-class _LinearModel(Protocol):
+class ModelState(eqx.Module):
+    """State of the scene, and the belief about its contacts."""
+
+    position: Float[Array, "N D"]
+    """m"""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    belief: ContactBelief
+    """About the step that led to this state; the next belief is predicted from it."""
+
+
+def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
+    """The nodes of a scene, padded to ``node_capacity`` (default: no padding).
+
+    Raises `InvalidInputError` where the scene has more nodes.
+    """
+    capacity = scene.node_count if node_capacity is None else node_capacity
+    return jax.tree.map(jnp.asarray, pad_nodes(scene, capacity))
+
+
+class StepModel(Protocol):
+    """A locally linear model of one step, which any planner or evaluation can use.
+
+    It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
+    functions.
+    """
+
     def linear_step(
         self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
-    ) -> tuple[LinearDynamics, ContactBelief]: ...
+    ) -> tuple[LinearDynamics, ContactBelief]:
+        """The dynamics of the next step, linear about this state and control, and the belief that
+        they assume."""
+        ...
+
+    def initial_belief(
+        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
+    ) -> ContactBelief:
+        """The belief before the first observation."""
+        ...
 
 
 @eqx.filter_jit
 def _linear_step(
-    model: _LinearModel, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    model: StepModel, state: ModelState, control: Float[Array, " U"], nodes: Nodes
 ) -> tuple[LinearDynamics, ContactBelief]:
     """Traced once, however often a program takes a step."""
     return model.linear_step(state, control, nodes)
 
 
 def take_step(
-    model: _LinearModel, state: ModelState, control: Float[Array, " U"], nodes: Nodes
+    model: StepModel, state: ModelState, control: Float[Array, " U"], nodes: Nodes
 ) -> tuple[ModelState, LinearDynamics]:
     """One step under a control [N]: the next state, and the dynamics about this state and control.
 
@@ -53,7 +90,7 @@ def control_displacement(
 
 
 def rollout(
-    model: _LinearModel,
+    model: StepModel,
     state: ModelState,
     controls: Float[Array, "H U"],
     nodes: Nodes,

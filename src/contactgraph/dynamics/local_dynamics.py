@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from contactgraph.bodies.graph import Bodies, EncodedGraph
+from contactgraph.bodies.message_passing import TypedMessagePassing
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.heads import WithoutContacts
-from contactgraph.model.message_passing import TypedMessagePassing
-from contactgraph.model.types import Bodies, EncodedGraph, LinearDynamics, SpringMassDamper
+from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper
 
 
 class ThetaMethod(eqx.Module):
@@ -64,6 +64,28 @@ class ThetaMethod(eqx.Module):
         B = jnp.stack([theta * dt * B2, B2], -2)
         offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
         return LinearDynamics(A, B, offset)
+
+
+class WithoutContacts(eqx.Module):
+    """What local dynamics, or their heads, answer that know of no contact within a step."""
+
+    def coasting(self, bodies: Bodies, dt: float) -> Float[Array, "N G"]:
+        """Velocity of every node, m/s, after a step of ``dt`` [s] in which nothing acts on it."""
+        return bodies.velocity
+
+    def control_displacement(self, *given: Any, **step: Any) -> Float[Array, "N G"] | None:
+        """See `ContactLaw.control_displacement`; None: it is left out of account."""
+        return None
+
+    def retract(
+        self,
+        graph: EncodedGraph,
+        position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
+        **step: Any,
+    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+        """See `ContactLaw.retract`: as they are."""
+        return position, velocity
 
 
 class LocalDynamics(WithoutContacts):

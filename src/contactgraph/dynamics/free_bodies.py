@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Geometry, incidence
+from contactgraph.bodies.graph import GroupCapacity
 from contactgraph.bodies.planes import Patch
-from contactgraph.model.edges import GroupCapacity
 
 _SLOW = 1e-4
 """See `FreeBodies.slow`, in units of speed."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.model.contact_belief import first_holding_type
+from contactgraph.inference.contact_belief import first_holding_type
 
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count

@@ -9,14 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry, as_near
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.pins import PinJoints, pin_joints, with_pins_held
 from contactgraph.bodies.planes import Patch, meets_plane, on_planes, plane_geometry, weighed_down
-from contactgraph.model.actuation import Actuation, actuated_slots
-from contactgraph.model.body_types import PACE, BodyTypes
-from contactgraph.model.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.model.free_bodies import FreeBodies, lifted_fraction
-from contactgraph.model.heads import coupling_starts, with_hinge_springs
-from contactgraph.model.types import EncodedGraph, SpringMassDamper
+from contactgraph.dynamics.actuation import Actuation, actuated_slots
+from contactgraph.dynamics.body_types import PACE, BodyTypes
+from contactgraph.dynamics.contacts import MAX_COUPLING, Contacts, damper_of
+from contactgraph.dynamics.free_bodies import FreeBodies, lifted_fraction
+from contactgraph.dynamics.hinges import coupling_starts, with_hinge_springs
+from contactgraph.dynamics.linear_dynamics import SpringMassDamper
 
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""

@@ -1,15 +1,16 @@
-"""Edges of one step: which pairs of nodes, their prior, and their weight by distance."""
+"""The graph of one step: its bodies, and which pairs of them are edges."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution
+from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.graph import pair_count, pair_indices
+from contactgraph.data.trajectory_batch import Nodes
 
 
 class Edges(eqx.Module):
@@ -87,51 +88,51 @@ def edge_count(neighbor_list: EdgeList | None, node_count: int) -> int:
     return pair_count(node_count) if neighbor_list is None else neighbor_list.max_edges
 
 
-class ClosestApproachPrior(eqx.Module):
-    r"""Probability of contact from the closest approach of two nodes within the step.
+class Bodies(NamedTuple):
+    """The bodies of a step, and how they move."""
 
-    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
-
-    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
-    closest approach in the next step: the edge of a step must already be active when bodies touch
-    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
-    because an unknown force may bring bodies together or keep them apart.
-    """
-
-    margin: float = eqx.field(static=True, default=1.03)
-    """$m$; factor on the contact distance below which nodes count as touching."""
-    sharpness: float = eqx.field(static=True, default=0.02)
-    """$s$."""
-    min_probability: float = eqx.field(static=True, default=0.01)
-    r"""$\epsilon$."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        touch = jax.lax.stop_gradient(geometry.contact_distance)
-        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
-        spread = 1.0 - 2.0 * self.min_probability
-        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
+    position: Float[Array, "N G"]
+    """m"""
+    velocity: Float[Array, "N G"]
+    """m/s"""
+    nodes: Nodes
+    node_type: Float[Array, "N node_types"]
+    """One-hot."""
+    turns: Float[Array, " N"]
+    """1 for bodies that turn, else 0."""
 
 
-class SmoothCutoff(eqx.Module):
-    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
+class EncodedGraph(eqx.Module):
+    """One step's state, control and graph, before inference and, with cut edges, after it."""
 
-    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
-    """
-
-    inner: float = eqx.field(static=True, default=0.15)
-    outer: float = eqx.field(static=True, default=0.25)
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight of each edge in [0, 1], by its closest approach in the step."""
-        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(fraction, 0.0, 1.0)
-        return fraction**2 * (3.0 - 2.0 * fraction)
-
-
-class NoCutoff(eqx.Module):
-    """Weight 1 at every distance: the paper's all-pairs inference."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight 1 for every edge."""
-        return jnp.ones_like(geometry.distance)
+    position: Float[Array, "N D"]
+    """m"""
+    velocity: Float[Array, "N D"]
+    """m/s"""
+    control: Float[Array, " U"]
+    nodes: Nodes
+    node_type: Float[Array, "N node_types"]
+    """One-hot."""
+    turns: Float[Array, " N"]
+    """1 for bodies that turn, else 0."""
+    control_displacement: Float[Array, "N D"] | None
+    """m; how far the control alone moves each node, together with what it holds. None: left out of
+    account."""
+    geometry: Geometry
+    contact_points: Geometry
+    """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
+    meeting: Meeting
+    """Those places as the positions tell them."""
+    edge_id: Int[Array, " E"] | None
+    """`Edges.edge_id`."""
+    node_features: Float[Array, "N F"]
+    edge_features: Float[Array, "2 E G"]
+    weight: Float[Array, " E"]
+    """Weight of every edge by the cutoff, in [0, 1]; 0 for edges that are no candidates."""
+    embedding: Float[Array, "E M"]
+    prior: Float[Array, "E K"]
+    """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
+    active: Float[Array, "E active"]
+    """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
+    group_capacity: GroupCapacity | None = eqx.field(static=True)
+    """Most nodes that are coupled, directly or through others. None: no limit."""

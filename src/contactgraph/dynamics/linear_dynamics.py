@@ -1,41 +1,10 @@
-"""Types that the parts of a model exchange: state, nodes, linear dynamics, node parameters."""
-
-from typing import NamedTuple, Protocol
+"""Linear dynamics of one step, and a spring, a mass and a damper for every node."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
-
-from contactgraph.bodies.geometry import Geometry
-from contactgraph.bodies.shapes import Meeting
-from contactgraph.data import Scene
-from contactgraph.data.trajectory_batch import Nodes as Nodes
-from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.model.contact_belief import ContactBelief
-from contactgraph.model.edges import GroupCapacity
+from jaxtyping import Array, Float
 
 _MIN_INVERSE_MASS = 1e-6
-
-
-class ModelState(eqx.Module):
-    """State of the scene, and the belief about its contacts."""
-
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    belief: ContactBelief
-    """About the step that led to this state; the next belief is predicted from it."""
-
-
-def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
-    """The nodes of a scene, padded to ``node_capacity`` (default: no padding).
-
-    Raises `InvalidInputError` where the scene has more nodes.
-    """
-    capacity = scene.node_count if node_capacity is None else node_capacity
-    return jax.tree.map(jnp.asarray, pad_nodes(scene, capacity))
 
 
 class LinearDynamics(eqx.Module):
@@ -164,74 +133,3 @@ def own_component(
     """
     dimension = inverse_mass.shape[-1]
     return inverse_mass[..., None] * jnp.eye(dimension, control_size, dtype=inverse_mass.dtype)
-
-
-class Bodies(NamedTuple):
-    """The bodies of a step, and how they move."""
-
-    position: Float[Array, "N G"]
-    """m"""
-    velocity: Float[Array, "N G"]
-    """m/s"""
-    nodes: Nodes
-    node_type: Float[Array, "N node_types"]
-    """One-hot."""
-    turns: Float[Array, " N"]
-    """1 for bodies that turn, else 0."""
-
-
-class EncodedGraph(eqx.Module):
-    """One step's state, control and graph, before inference and, with cut edges, after it."""
-
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
-    control: Float[Array, " U"]
-    nodes: Nodes
-    node_type: Float[Array, "N node_types"]
-    """One-hot."""
-    turns: Float[Array, " N"]
-    """1 for bodies that turn, else 0."""
-    control_displacement: Float[Array, "N D"] | None
-    """m; how far the control alone moves each node, together with what it holds. None: left out of
-    account."""
-    geometry: Geometry
-    contact_points: Geometry
-    """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
-    meeting: Meeting
-    """Those places as the positions tell them."""
-    edge_id: Int[Array, " E"] | None
-    """`Edges.edge_id`."""
-    node_features: Float[Array, "N F"]
-    edge_features: Float[Array, "2 E G"]
-    weight: Float[Array, " E"]
-    """Weight of every edge by the cutoff, in [0, 1]; 0 for edges that are no candidates."""
-    embedding: Float[Array, "E M"]
-    prior: Float[Array, "E K"]
-    """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
-    active: Float[Array, "E active"]
-    """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
-    group_capacity: GroupCapacity | None = eqx.field(static=True)
-    """Most nodes that are coupled, directly or through others. None: no limit."""
-
-
-class StepModel(Protocol):
-    """A locally linear model of one step, which any planner or evaluation can use.
-
-    It must be a pytree (an `equinox.Module` is), so that its weights can be passed to compiled
-    functions.
-    """
-
-    def linear_step(
-        self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
-    ) -> tuple[LinearDynamics, ContactBelief]:
-        """The dynamics of the next step, linear about this state and control, and the belief that
-        they assume."""
-        ...
-
-    def initial_belief(
-        self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
-    ) -> ContactBelief:
-        """The belief before the first observation."""
-        ...

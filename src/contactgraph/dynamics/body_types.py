@@ -6,15 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Joined
+from contactgraph.bodies.graph import Bodies, EncodedGraph, GroupCapacity
 from contactgraph.bodies.mass_matrix import MassMatrix
 from contactgraph.bodies.pins import joined_with_pins, pin_joints
 from contactgraph.bodies.planes import rests_on_planes
 from contactgraph.bodies.rotations import stepped_turns
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.model.actuation import ActuatedMotion, Actuation
-from contactgraph.model.contacts import damper_of, solved
-from contactgraph.model.edges import GroupCapacity
-from contactgraph.model.types import Bodies, EncodedGraph
+from contactgraph.dynamics.actuation import ActuatedMotion, Actuation
+from contactgraph.dynamics.contacts import damper_of, solved
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""

@@ -13,8 +13,7 @@ from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.pins import apart_from_pins
 from contactgraph.bodies.polygons import polygon_meeting
 from contactgraph.bodies.shapes import Meeting, meeting
-from contactgraph.data.trajectory_batch import type_id
-from contactgraph.model.types import Nodes
+from contactgraph.data.trajectory_batch import Nodes, type_id
 
 _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry
-from contactgraph.model.contact_belief import ContactBelief, EdgeMemory
-from contactgraph.model.features import with_commands
-from contactgraph.model.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.model.types import Nodes
+from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory
+from contactgraph.inference.features import with_commands
 
 _MEMORY = 8
 """Size of an edge's clock."""

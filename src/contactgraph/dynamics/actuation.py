@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.bodies.geometry import relative_at_edges
-from contactgraph.model.free_bodies import ContactMotion
-from contactgraph.model.types import EncodedGraph, Nodes, SpringMassDamper
+from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.dynamics.free_bodies import ContactMotion
+from contactgraph.dynamics.linear_dynamics import SpringMassDamper
 
 _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""

@@ -1,7 +1,6 @@
 """Starts of couplings, and the springs of hinged bodies."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from contactgraph.bodies.geometry import sum_at_nodes
+from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.model.types import Bodies, EncodedGraph, SpringMassDamper
+from contactgraph.dynamics.linear_dynamics import SpringMassDamper
 
 _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
@@ -130,25 +130,3 @@ def with_hinge_springs(
     return dataclasses.replace(
         sprung, impact_displacement=displacement + constraint.projection(position)
     )
-
-
-class WithoutContacts(eqx.Module):
-    """What local dynamics, or their heads, answer that know of no contact within a step."""
-
-    def coasting(self, bodies: Bodies, dt: float) -> Float[Array, "N G"]:
-        """Velocity of every node, m/s, after a step of ``dt`` [s] in which nothing acts on it."""
-        return bodies.velocity
-
-    def control_displacement(self, *given: Any, **step: Any) -> Float[Array, "N G"] | None:
-        """See `ContactLaw.control_displacement`; None: it is left out of account."""
-        return None
-
-    def retract(
-        self,
-        graph: EncodedGraph,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        **step: Any,
-    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
-        """See `ContactLaw.retract`: as they are."""
-        return position, velocity

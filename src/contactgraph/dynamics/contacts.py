@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.bodies.geometry import Geometry, relative_at_edges, to_nodes
+from contactgraph.bodies.graph import GroupCapacity
 from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution, solve_dense
-from contactgraph.model.edges import GroupCapacity
-from contactgraph.model.free_bodies import (
+from contactgraph.dynamics.free_bodies import (
     ContactMotion,
     FreeBodies,
     ground_dampers,

@@ -1,0 +1,1 @@
+"""Forward dynamics: from the active edges to one linear step of every body."""
