@@ -163,7 +163,7 @@ def test_collect_other_tasks(tmp_path: Path, task: str, options: dict, nodes: in
     assert [run.scene.node_count for run in dataset] == [nodes, nodes]
     policies = [run.scene.metadata["policy"] for run in dataset]
     assert policies[0].endswith("Expert") and policies[1] == "ExplorationPolicy"
-    assert all((run.scene.anchor is not None) == (task == "door") for run in dataset)
+    assert all(run.scene.hinged.any() == (task == "door") for run in dataset)
     assert all(run.scene.dimension == (3 if task == "franka" else 2) for run in dataset)
     assert all(run.scene.metadata.get("grasp") == options.get("grasp") for run in dataset)
 

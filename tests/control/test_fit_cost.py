@@ -69,7 +69,7 @@ def test_a_hidden_cost_is_recovered(double_precision, seed, steps):
         prior_weight=0.0,
     )
     found_Q, found_R, _, history = fit_cost(
-        data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe
+        data, STARTS, isotropic_axes(np.zeros(2)), no_contacts(), recipe
     )
     assert history.imitation[-1] < 1e-9 * history.imitation[0]
     assert np.abs(found_Q - Q).max() < 1e-4 * np.abs(Q).max()
@@ -86,13 +86,13 @@ def test_the_same_seed_gives_the_same_cost_and_progress_is_reported():
     *one, history = fit_cost(
         data,
         STARTS,
-        isotropic_axes(None, 2),
+        isotropic_axes(np.zeros(2)),
         no_contacts(),
         recipe,
         3,
         on_step=lambda step, loss: steps.append(step),
     )
-    *other, _ = fit_cost(data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe, 3)
+    *other, _ = fit_cost(data, STARTS, isotropic_axes(np.zeros(2)), no_contacts(), recipe, 3)
     assert steps == [50, 100] and history.imitation.shape == (100,)
     assert all(map(np.array_equal, one, other))
     assert np.mean(history.imitation[-10:]) < np.mean(history.imitation[:10])
@@ -103,7 +103,7 @@ def test_lost_definiteness_stops_with_the_step_and_the_eigenvalue():
     recipe = CostLearningConfig(horizon=HORIZON, steps=50, batch=8, learning_rate=1e30)
     message = r"stopped at step \d+: [QR]'s smallest eigenvalue is .*; a smaller learning rate"
     with pytest.raises(InvalidInputError, match=message):
-        fit_cost(data, STARTS, isotropic_axes(None, 2), no_contacts(), recipe)
+        fit_cost(data, STARTS, isotropic_axes(np.zeros(2)), no_contacts(), recipe)
 
 
 def test_demonstrations_without_a_control_are_refused():
@@ -113,7 +113,7 @@ def test_demonstrations_without_a_control_are_refused():
         fit_cost(
             still,
             STARTS,
-            isotropic_axes(None, 2),
+            isotropic_axes(np.zeros(2)),
             no_contacts(),
             CostLearningConfig(horizon=HORIZON),
         )

@@ -151,7 +151,7 @@ def test_the_contact_that_demonstrations_keep_is_learned_as_it_imitates_best(mod
     assert wanted.pairs.tolist() == [[0, 1]]
     begin = np.argmax(runs[0].contact[:, 0, 1]) - RECIPE.horizon // 2
     starts = np.array([(number, max(begin, 0)) for number in range(len(runs))])
-    learner = cost_learner(data, starts, RECIPE, isotropic_axes(None, 2), wanted)
+    learner = cost_learner(data, starts, RECIPE, isotropic_axes(np.zeros(2)), wanted)
 
     @jax.jit
     def loss(weight):

@@ -32,7 +32,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
         node_type=("gripper", "object", "object"),
         actuated=np.array([True, False, False]),
         dt=0.05,
-        anchor=np.full((NODES, 2), np.nan),
+        anchor=np.array([[np.nan, np.nan], [0.2, 0.1], [np.nan, np.nan]]),
         goal=np.zeros(2),
         mass=np.ones(NODES),
         radius=np.ones(NODES),

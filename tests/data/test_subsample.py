@@ -72,6 +72,7 @@ def test_bodies_without_turns_have_the_rest() -> None:
     turns = np.zeros((24, 2, 1))
     turning = replace(trajectory, scene=scene, orientation=turns, angular_velocity=turns)
     (round_,) = without_turns(Dataset((turning,)))
-    assert round_.orientation is round_.angular_velocity is round_.scene.polygons is None
+    assert np.isnan(round_.orientation).all() and np.isnan(round_.angular_velocity).all()
+    assert round_.scene.polygons == () and not len(round_.scene.polygon_of)
     assert round_.scene.outlines_of(1) == trajectory.scene.outlines_of(1)
     np.testing.assert_array_equal(round_.position, trajectory.position)

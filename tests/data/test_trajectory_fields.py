@@ -50,15 +50,15 @@ def test_every_field_is_stored_in_its_type() -> None:
         polygons=[[[0, 0], [0, 1], [1, 0]]],
         polygon_of=[1],
     )
-    assert of.static is not None and of.static.dtype == bool
+    assert of.static.dtype == bool
     assert of.control_kind == ("position", "switch")
     assert of.control_of is not None and of.control_of.dtype == bool
-    assert of.planes is not None and of.planes.dtype == np.float64
-    assert of.polygons is not None and of.polygons[0].dtype == np.float64
-    assert of.polygon_of is not None and of.polygon_of.tolist() == [1]
+    assert of.planes.dtype == np.float64
+    assert of.polygons[0].dtype == np.float64
+    assert of.polygon_of.tolist() == [1]
     run = trajectory(of, holding=pairs().astype(int), orientation=np.zeros((5, 3, 1), int))
     assert run.holding is not None and run.holding.dtype == bool
-    assert run.orientation is not None and run.orientation.dtype == np.float64
+    assert run.orientation.dtype == np.float64
 
 
 def test_a_control_of_no_component_has_no_kind() -> None:
@@ -75,7 +75,7 @@ def test_an_orientation_may_be_unknown_for_a_node_at_a_step() -> None:
     turning = quaternions()
     turning[2, 1] = np.nan
     run = trajectory(scene(3), orientation=turning, angular_velocity=turning[..., 1:])
-    assert run.orientation is not None and np.isnan(run.orientation[2, 1]).all()
+    assert np.isnan(run.orientation[2, 1]).all()
 
 
 def test_quaternions_have_length_1() -> None:
@@ -126,7 +126,7 @@ def test_a_turn_has_the_width_of_its_space(dimension: int, name: str, width: int
             "polygons in space must be at least 4 points that do not lie in a plane",
         ),
         (
-            {"dimension": 1, "polygons": [[[0], [1]]], "polygon_of": [0]},
+            {"dimension": 1, "polygons": [[[0], [1], [2]]], "polygon_of": [0]},
             "2 or 3 dimensions, found 1",
         ),
         (
@@ -171,7 +171,6 @@ def test_a_pair_that_held_within_a_longer_step_holds_in_it() -> None:
     (longer,) = subsample(Dataset((run,)), 2)
     assert longer.holding is not None and longer.holding[:, 0, 1].tolist() == [False, True, False]
     assert longer.contact is not None and longer.contact[:, 0, 1].tolist() == [False, True, True]
-    assert longer.orientation is not None and longer.angular_velocity is not None
     np.testing.assert_array_equal(longer.orientation, angle[[0, 2, 4]])
     np.testing.assert_array_equal(longer.angular_velocity, 2 * angle[[0, 2, 4]])
 

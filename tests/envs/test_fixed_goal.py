@@ -33,7 +33,7 @@ def test_targets_and_goal_are_shared_and_all_else_is_not(task_class):
     for scene, position in others:
         assert np.array_equal(scene.goal, first_scene.goal)
         assert np.array_equal(position[1:free], first[1:free])
-        if scene.anchor is not None:
+        if scene.hinged.any():
             assert np.array_equal(scene.anchor[1:free], first_scene.anchor[1:free])
             for name in ("angle", "goal_angle"):
                 assert scene.metadata[name] == first_scene.metadata[name]

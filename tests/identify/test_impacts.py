@@ -64,7 +64,7 @@ def test_what_a_servo_moves_tells_nothing() -> None:
 def test_a_hinged_body_is_not_taken_for_a_point() -> None:
     """A door does not bounce off the gripper, but its centre is not where it is struck."""
     doors = collect([DoorTask], [DoorExpert()], episodes=40, seed=0)
-    assert doors[0].scene.has_hinges
+    assert doors[0].scene.hinged.any()
     assert not fit_impacts(doors, fit_actuation(doors, 0.55))
     assert not identify(Dataset(tuple(doors))).config.slowing, (
         "its middle slows down because it turns"

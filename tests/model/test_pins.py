@@ -87,7 +87,6 @@ def followed(scene: Scene, at: tuple[np.ndarray, np.ndarray], controls) -> tuple
 
 
 def gaps(position: np.ndarray) -> np.ndarray:
-    assert SCENE.pins is not None and SCENE.pin_points is not None
     angle = position[..., 2] / TURN_LENGTH
     return pin_gaps(SCENE.pins, SCENE.pin_points, position[..., :2], angle)
 

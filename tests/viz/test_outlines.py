@@ -88,7 +88,7 @@ def test_the_page_has_outlines_only_where_there_are_any(tee, scene):
     found = json.loads(embedded_json(ReportData("T", "x", scenes=(tee, scene))))["scenes"]
     assert found[0]["outlines"] == [[], [BAR.tolist(), STEM.tolist()]]
     assert found[0]["planes"] == FLOOR.tolist()
-    assert [found[1][name] for name in ("outlines", "orientation", "planes")] == [None] * 3
+    assert [found[1][name] for name in ("outlines", "orientation", "planes")] == [None, None, []]
 
 
 PAGE = """

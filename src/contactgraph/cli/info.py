@@ -156,6 +156,7 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 def _print_dataset(path: Path) -> None:
     from contactgraph.data import read_trajectories
+    from contactgraph.data.schema import given_fields
     from contactgraph.interchange.motion import body_motions, motion_warnings
 
     dataset = read_trajectories(path)
@@ -165,14 +166,14 @@ def _print_dataset(path: Path) -> None:
     kinds = " or ".join(
         sorted({", ".join(each.control_kind) for each in scenes if each.control_kind})
     )
-    static = [0 if each.static is None else int(each.static.sum()) for each in scenes]
+    static = [int(each.static.sum()) for each in scenes]
     recorded = {"contacts": "contact", "holding": "holding", "orientation": "orientation"}
     rows = {
         "steps": f"{_span([each.steps for each in dataset])} of {dataset.dt} s",
         "nodes": f"{_span(nodes)}: {', '.join(scenes[0].node_name)}",
         "control": f"{dataset.control_size}{f': {kinds}' if kinds else ''}",
         **{
-            label: f"in {sum(getattr(each, name) is not None for each in dataset)} of "
+            label: f"in {sum(name in given_fields(each) for each in dataset)} of "
             f"{len(dataset)} trajectories"
             for label, name in recorded.items()
         },

@@ -278,7 +278,7 @@ def learn_cost(
     nodes = task_nodes(demonstrations, filtered)
     kept = tuple(each.name for each in nodes if each.kept)
     data = demonstrations_of(demonstrations, filtered, kept, target, limits)
-    isotropy = isotropic_axes(scene.gravity, scene.dimension)
+    isotropy = isotropic_axes(scene.gravity)
     contacts = lasting_contacts(demonstrations, filtered, kept if config.contacts else ())
     Q, R, weights, history = fit_cost(data, starts, isotropy, contacts, config, seed, on_step)
     return LearnedCost(

@@ -259,11 +259,11 @@ def independent_part(W: Float[Array, "m m"], isotropy: Float[Array, "D D"]) -> F
     return jnp.einsum("apqd,ab,de->apdbqe", own, jnp.eye(M), jnp.eye(D)).reshape(W.shape)
 
 
-def isotropic_axes(gravity: np.ndarray | None, dimension: int) -> np.ndarray:
-    """[D, D] Row i averages over the axes that axis i is equal to: those without gravity."""
-    falls = np.zeros(dimension, bool) if gravity is None else np.asarray(gravity) != 0.0
+def isotropic_axes(gravity: np.ndarray) -> np.ndarray:
+    """[D, D] Row i averages over the axes that axis i is equal to: those without gravity [D]."""
+    falls = np.asarray(gravity) != 0.0
     same = (falls[:, None] == falls[None, :]) & ~(falls[:, None] & falls[None, :])
-    same = same | np.eye(dimension, dtype=bool)
+    same = same | np.eye(len(falls), dtype=bool)
     return same / same.sum(axis=1, keepdims=True)
 
 

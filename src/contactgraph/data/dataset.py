@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import passive_nodes
 from contactgraph.data.scene import Scene
-from contactgraph.data.schema import Field, changed
+from contactgraph.data.schema import ABSENT, Field, changed
 from contactgraph.data.trajectory import Trajectory
 
 Metadata = dict[str, str | int | float | bool]
@@ -127,8 +126,10 @@ def without_turns(dataset: Dataset) -> Dataset:
     """The same trajectories without orientations, angular velocities, outlines and pins."""
 
     def stripped(each: Trajectory) -> Trajectory:
-        scene = replace(each.scene, polygons=None, polygon_of=None, pins=None, pin_points=None)
-        return replace(each, scene=scene, orientation=None, angular_velocity=None)
+        scene = replace(
+            each.scene, polygons=ABSENT, polygon_of=ABSENT, pins=ABSENT, pin_points=ABSENT
+        )
+        return replace(each, scene=scene, orientation=ABSENT, angular_velocity=ABSENT)
 
     return dataset.map(stripped)
 
@@ -170,7 +171,7 @@ def masses_vary(dataset: Dataset) -> bool:
     for each in dataset:
         scene = each.scene
         if scene.mass is not None:
-            for node in np.flatnonzero(passive_nodes(scene)):
+            for node in np.flatnonzero(scene.passive):
                 found.setdefault(scene.node_type[node], set()).add(float(scene.mass[node]))
     return any(max(masses) > _HEAVIER * min(masses) for masses in found.values())
 
@@ -200,10 +201,8 @@ def near_origin(dataset: Dataset) -> Dataset:
 
 def scene_about(scene: Scene, origin: np.ndarray) -> Scene:
     """The same scene in coordinates about ``origin`` [D] m."""
-    planes = scene.planes
-    if planes is not None:
-        offset = planes[:, -1:] - planes[:, :-1] @ origin[:, None]
-        planes = np.concatenate([planes[:, :-1], offset], axis=1)
+    normal, offset = scene.planes[:, :-1], scene.planes[:, -1:]
+    planes = np.concatenate([normal, offset - normal @ origin[:, None]], axis=1)
     return changed(scene, _about(origin), planes=planes)
 
 

@@ -13,7 +13,7 @@ from contactgraph.data.dataset import Dataset, Metadata
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.files import atomic_write, check_readable
 from contactgraph.data.scene import Scene
-from contactgraph.data.schema import Field, fields_of
+from contactgraph.data.schema import Field, fields_of, given_fields
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
 
@@ -85,14 +85,12 @@ def _write_trajectory(
     group.attrs["dt"] = float(scene.dt)
     _write_metadata(where, group, scene.metadata)
     arrays: dict[str, Any] = {
-        name: getattr(owner, name) for owner in (scene, trajectory) for name in fields_of(owner)
+        name: getattr(owner, name) for owner in (scene, trajectory) for name in given_fields(owner)
     }
-    if scene.polygons is not None:
-        arrays["polygons"] = np.concatenate([np.empty((0, scene.dimension)), *scene.polygons])
+    if scene.polygons:
+        arrays["polygons"] = np.concatenate(scene.polygons)
         arrays["polygon_size"] = np.array([len(each) for each in scene.polygons], dtype=np.int64)
     for name, value in arrays.items():
-        if value is None:
-            continue
         field = ARRAYS[name]
         if field.kind is str:
             value = _fixed_texts(f"{where}/{name}", value)

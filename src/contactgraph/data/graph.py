@@ -46,12 +46,6 @@ def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
     return candidate
 
 
-def passive_nodes(scene: Scene) -> np.ndarray:
-    """[N] bool: the nodes that may move and on which no control acts."""
-    static = False if scene.static is None else scene.static
-    return np.asarray(~scene.actuated & np.logical_not(static))
-
-
 def joined(contact: np.ndarray) -> np.ndarray:
     """[S, N, N] float, 1 where two nodes are the same or connected by contacts, else 0.
 

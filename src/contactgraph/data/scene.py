@@ -8,6 +8,7 @@ import numpy as np
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.outlines import check_outline, signed_area
 from contactgraph.data.schema import (
+    ABSENT,
     BOUNDS,
     FINITE_OR_NONE,
     NODES,
@@ -42,25 +43,25 @@ class Scene:
     dimension: int = 2
     """D, degrees of freedom a node."""
     anchor: Annotated[
-        np.ndarray | None, Field("N D", unit="m", rule=FINITE_OR_NONE, place=True, padding=np.nan)
-    ] = None
-    """[N, D] hinge position, m; NaN where a node has none. None: no node has one."""
+        np.ndarray, Field("N D", unit="m", rule=FINITE_OR_NONE, place=True, fill=np.nan)
+    ] = ABSENT
+    """[N, D] hinge position, m; NaN where a node has none."""
     goal: Annotated[np.ndarray | None, Field("D", unit="m", place=True)] = None
     """[D] goal position, m. None: there is no goal."""
-    gravity: Annotated[np.ndarray | None, Field("D", unit="m/s^2")] = None
+    gravity: Annotated[np.ndarray, Field("D", unit="m/s^2", fill=0.0)] = ABSENT
     """[D] m/s^2: acceleration of bodies without support or actuation. They rest on a support until
-    they are lifted. None: bodies have no weight, or lie on a plane that supports it."""
+    they are lifted. 0: bodies have no weight, or lie on a plane that supports it."""
     mass: Annotated[np.ndarray | None, Field("N", unit="kg", rule=NOT_NEGATIVE)] = None
     """[N] true mass, kg, where it is known. Serves evaluation only; training never reads it."""
     radius: Annotated[np.ndarray | None, Field("N", unit="m", rule=NOT_NEGATIVE)] = None
     """[N] radius, m, where it is known. Serves drawing only; training never reads it."""
-    size: Annotated[np.ndarray | None, Field("N D", unit="m", rule=SIDES_OR_NONE)] = None
+    size: Annotated[np.ndarray, Field("N D", unit="m", rule=SIDES_OR_NONE, fill=np.nan)] = ABSENT
     """[N, D] side lengths of a box around each node's position, along the axes, m; NaN throughout
-    for a node that is no box. None: no node is."""
+    for a node that is no box."""
     candidate_edges: Annotated[np.ndarray | None, Field("E 2", int, rule=PAIRS)] = None
     """[E, 2] int: pairs of nodes that could touch. None: every pair."""
-    static: Annotated[np.ndarray | None, Field("N", bool)] = None
-    """[N] bool: bodies that never move, such as pillars and walls. None: not known."""
+    static: Annotated[np.ndarray, Field("N", bool, fill=False)] = ABSENT
+    """[N] bool: bodies that are known never to move, such as pillars and walls."""
     control_kind: Annotated[tuple[str, ...] | None, Field("U", str)] = None
     """[U] the meaning of each component of the control: ``force`` (N), ``position`` (a target in
     the world, m), ``displacement`` (a target relative to the body, m), ``velocity`` (m/s),
@@ -68,23 +69,22 @@ class Scene:
     control_of: Annotated[np.ndarray | None, Field("N U", bool)] = None
     """[N, U] bool: the components that act on each node. None: component d moves degree of freedom
     d of every actuated node, and further components move nothing."""
-    planes: Annotated[np.ndarray | None, Field("P D+1", rule=PLANES)] = None
-    """[P, D+1] rows of a unit normal n and an offset o, m: space is free where n·x >= o. None: not
-    known."""
-    reach: Annotated[
-        np.ndarray | None, Field("N 2 D", unit="m", rule=BOUNDS, place=True, padding=np.nan)
-    ] = None
+    planes: Annotated[np.ndarray, Field("P D+1", rule=PLANES, fill=0.0)] = ABSENT
+    """[P, D+1] rows of a unit normal n and an offset o, m: space is free where n·x >= o."""
+    reach: Annotated[np.ndarray, Field("N 2 D", unit="m", rule=BOUNDS, place=True, fill=np.nan)] = (
+        ABSENT
+    )
     """[N, 2, D] m: lower and upper bounds of the position of an actuated body, such as a robot's
-    workspace; NaN where there is none. None: not known."""
-    polygons: Annotated[tuple[np.ndarray, ...] | None, Field("Q V D", unit="m")] = None
+    workspace; NaN where there is none."""
+    polygons: Annotated[tuple[np.ndarray, ...], Field("Q V D", unit="m", fill=0.0)] = ABSENT
     """[Q] convex outlines [V, 2] of nodes in the plane, in space points [V, 3] whose convex hulls
-    they are, in the body's frame, m. None: not known."""
-    polygon_of: Annotated[np.ndarray | None, Field("Q", int, rule=NODES)] = None
+    they are, in the body's frame, m."""
+    polygon_of: Annotated[np.ndarray, Field("Q", int, rule=NODES, fill=0)] = ABSENT
     """[Q] int: the node of each polygon; several may belong to one. Given with ``polygons``."""
-    pins: Annotated[np.ndarray | None, Field("J 2", int, rule=PAIRS)] = None
+    pins: Annotated[np.ndarray, Field("J 2", int, rule=PAIRS, fill=0)] = ABSENT
     """[J, 2] int: two nodes each, in the plane, that a joint holds together at a point and lets
-    turn. None: not known."""
-    pin_points: Annotated[np.ndarray | None, Field("J 2 D", unit="m")] = None
+    turn."""
+    pin_points: Annotated[np.ndarray, Field("J 2 D", unit="m", fill=0.0)] = ABSENT
     """[J, 2, D] m: that point in the frame of either body. Given with ``pins``."""
     metadata: dict[str, str | int | float | bool] = field(default_factory=dict)
     """Free-form: task, seed, simulator version, substeps, …"""
@@ -100,15 +100,15 @@ class Scene:
         for name, other in (("polygons", "polygon_of"), ("pins", "pin_points")):
             if (getattr(self, name) is None) != (getattr(self, other) is None):
                 raise InvalidInputError(f"{name} and {other} must be given together")
-        if self.polygons is not None and self.dimension not in (2, 3):
+        check_fields(self, {"D": self.dimension}, tuple(self.node_name))
+        if self.polygons and self.dimension not in (2, 3):
             raise InvalidInputError(
                 f"polygons need a scene of 2 or 3 dimensions, found {self.dimension}"
             )
-        if self.pins is not None and self.dimension != 2:
+        if len(self.pins) and self.dimension != 2:
             raise InvalidInputError(
                 f"pins need a scene in the plane, found {self.dimension} dimensions"
             )
-        check_fields(self, {"D": self.dimension}, tuple(self.node_name))
         if len(set(self.node_name)) != self.node_count:
             raise InvalidInputError(f"node_name must be unique, found {list(self.node_name)}")
         for kind in self.control_kind or ():
@@ -116,25 +116,23 @@ class Scene:
                 raise InvalidInputError(
                     f"control_kind must name {', '.join(CONTROL_KINDS)}, found {kind!r}"
                 )
-        for index, outline in enumerate(self.polygons or ()):
+        for index, outline in enumerate(self.polygons):
             check_outline(f"polygons[{index}]", outline)
         self._check_actuated()
 
     def _check_actuated(self) -> None:
         """Raises `InvalidInputError` for a static node that is actuated, or a bound of one that is
         not."""
-        if self.static is not None:
-            for node in np.flatnonzero(self.static & self.actuated):
-                raise InvalidInputError(
-                    f"static must name nodes that are not actuated, found {self.node_name[node]!r}"
-                )
-        if self.reach is not None:
-            bounded = np.any(np.isfinite(self.reach), axis=(1, 2))
-            for node in np.flatnonzero(bounded & ~self.actuated):
-                raise InvalidInputError(
-                    f"reach must be NaN for nodes that are not actuated, found "
-                    f"{self.reach[node].tolist()} for {self.node_name[node]!r}"
-                )
+        for node in np.flatnonzero(self.static & self.actuated):
+            raise InvalidInputError(
+                f"static must name nodes that are not actuated, found {self.node_name[node]!r}"
+            )
+        bounded = np.any(np.isfinite(self.reach), axis=(1, 2))
+        for node in np.flatnonzero(bounded & ~self.actuated):
+            raise InvalidInputError(
+                f"reach must be NaN for nodes that are not actuated, found "
+                f"{self.reach[node].tolist()} for {self.node_name[node]!r}"
+            )
 
     @property
     def node_count(self) -> int:
@@ -142,15 +140,13 @@ class Scene:
         return len(self.node_name)
 
     @property
-    def half_size(self) -> np.ndarray | None:
-        """[N, D] m, half the sides of each box; 0 for other nodes. None: no node is a box."""
-        return None if self.size is None else 0.5 * np.nan_to_num(self.size)
+    def half_size(self) -> np.ndarray:
+        """[N, D] m, half the sides of each box; 0 for other nodes."""
+        return 0.5 * np.nan_to_num(self.size)
 
     def outlines_of(self, node: int) -> list[np.ndarray]:
         """The convex outlines [V, D] m of a node, in the plane counter-clockwise; none where they
         are not known."""
-        if self.polygons is None or self.polygon_of is None:
-            return []
         mine = [self.polygons[index] for index in np.flatnonzero(self.polygon_of == node)]
         if self.dimension == 3:
             return mine
@@ -159,12 +155,22 @@ class Scene:
     @property
     def has_weight(self) -> bool:
         """Whether bodies have weight."""
-        return self.gravity is not None and bool(np.any(self.gravity != 0.0))
+        return bool(np.any(self.gravity != 0.0))
 
     @property
-    def has_hinges(self) -> bool:
-        """Whether some node hangs on a hinge."""
-        return self.anchor is not None and bool(np.any(np.isfinite(self.anchor)))
+    def hinged(self) -> np.ndarray:
+        """[N] bool: the nodes that hang on a hinge."""
+        return np.asarray(np.isfinite(self.anchor).all(axis=1))
+
+    @property
+    def passive(self) -> np.ndarray:
+        """[N] bool: the nodes that may move and on which no control acts."""
+        return ~(self.actuated | self.static)
+
+    @property
+    def outlined(self) -> np.ndarray:
+        """[N] bool: the nodes of which an outline is given."""
+        return np.isin(np.arange(self.node_count), self.polygon_of)
 
 
 def box_distance(offset: np.ndarray, half_size: np.ndarray) -> np.ndarray:

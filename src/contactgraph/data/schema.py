@@ -16,8 +16,13 @@ from contactgraph.data.errors import InvalidInputError
 
 Owner = TypeVar("Owner")
 
+ABSENT: Any = None
+"""In place of an array that is not given, of which the constructor makes `Field.absent`."""
+
 _ROWS = {"N": "for", "T": "at step", "T+1": "at step", **dict.fromkeys("EJLPQ", "in row")}
 """Axes along which values do not form a vector, and how an error names an index of them."""
+_OWN_ROWS = "JPQ"
+"""Axes of things that a scene has any number of."""
 _LEAST = {"T": 1, "L": 2, "V": 3}
 """The least sizes of axes."""
 _TOLERANCE, _LOOSE_TOLERANCE = 1e-6, 1e-3
@@ -100,8 +105,9 @@ class Field:
     rule: Rule = FINITE
     place: bool = False
     """Whether values are positions in the world, which depend on its origin."""
-    padding: float = 0.0
-    """Value for nodes and rows that do not exist."""
+    fill: float | None = None
+    """The value of nodes that do not exist (default: 0), and of an array that is not given: see
+    `absent`."""
 
     @property
     def axis(self) -> tuple[str, ...]:
@@ -122,6 +128,30 @@ class Field:
     def is_tuple(self) -> bool:
         """Whether it is a tuple of arrays."""
         return "V" in self.axis[1:2]
+
+    @property
+    def padding(self) -> float:
+        """The value of nodes that do not exist."""
+        return 0.0 if self.fill is None else self.fill
+
+    def absent(self, sizes: dict[str, int]) -> Any:
+        """What stands for an array that is not given: no rows, or `fill` in all places; None where
+        that would be taken for a value."""
+        if self.fill is None:
+            return None
+        if self.is_tuple:
+            return ()
+        shape = [_size(axis, sizes) or 0 for axis in self.axis]
+        return np.full(shape, self.fill, self.kind)
+
+    def is_absent(self, value: Any) -> bool:
+        """Whether a value, of any shape, says no more than `absent`."""
+        if value is None or self.fill is None:
+            return value is None
+        if self.axis[0] in _OWN_ROWS:
+            return not len(value)
+        found = np.asarray(value)
+        return bool(np.all(found != found if np.isnan(self.fill) else found == self.fill))
 
     def checked(
         self, name: str, value: Any, sizes: dict[str, int], node_name: tuple[str, ...]
@@ -207,13 +237,22 @@ def fields_of(owner: Any) -> dict[str, Field]:
     }
 
 
+def given_fields(owner: Any) -> dict[str, Field]:
+    """Those of them that are given."""
+    fields = fields_of(owner)
+    return {name: each for name, each in fields.items() if not each.is_absent(getattr(owner, name))}
+
+
 def check_fields(owner: Any, sizes: dict[str, int], node_name: tuple[str, ...]) -> None:
-    """Gives all arrays of a `Scene` or `Trajectory` their types; see `Field.checked`."""
+    """Gives all arrays of a `Scene` or `Trajectory` their types, see `Field.checked`, and makes
+    those that are not given."""
     for name, field in fields_of(owner).items():
         value = getattr(owner, name)
-        if value is not None:
-            checked = field.checked(name, value, sizes, node_name)
-            object.__setattr__(owner, name, checked)
+        if field.is_absent(value):
+            value = field.absent(sizes)
+        else:
+            value = field.checked(name, value, sizes, node_name)
+        object.__setattr__(owner, name, value)
 
 
 def changed(

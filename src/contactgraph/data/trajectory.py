@@ -8,12 +8,13 @@ import numpy as np
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.scene import Scene
 from contactgraph.data.schema import (
+    ABSENT,
     FINITE_OR_NONE,
     SYMMETRIC,
     TURNS_OR_NONE,
     Field,
     check_fields,
-    fields_of,
+    given_fields,
 )
 from contactgraph.data.turns import continued_angles, rotation_vectors, turned_by
 
@@ -48,15 +49,14 @@ class Trajectory:
     holding: Annotated[np.ndarray | None, Field("T+1 N N", bool, rule=SYMMETRIC)] = None
     """[T+1, N, N] bool, symmetric: whether two nodes are tied together at a step, by a grasp, a
     joint or suction; nodes that hold each other are in contact. None: not recorded."""
-    orientation: Annotated[np.ndarray | None, Field("T+1 N 1|4", rule=TURNS_OR_NONE)] = None
+    orientation: Annotated[np.ndarray, Field("T+1 N 1|4", rule=TURNS_OR_NONE, fill=np.nan)] = ABSENT
     """[T+1, N, 4] unit quaternions (w, x, y, z) in space (D = 3), else [T+1, N, 1] rad, which go on
-    without jumps of whole turns; NaN throughout for a node at a step where it is not known. None:
-    not recorded."""
+    without jumps of whole turns; NaN throughout for a node at a step where it is not known."""
     angular_velocity: Annotated[
-        np.ndarray | None, Field("T+1 N 1|3", unit="rad/s", rule=FINITE_OR_NONE)
-    ] = None
+        np.ndarray, Field("T+1 N 1|3", unit="rad/s", rule=FINITE_OR_NONE, fill=np.nan)
+    ] = ABSENT
     """[T+1, N, 3] rad/s in the world's axes in space (D = 3), else [T+1, N, 1]; NaN throughout
-    for a node at a step where it is not known. None: not recorded."""
+    for a node at a step where it is not known."""
 
     def __post_init__(self) -> None:
         scene = self.scene
@@ -70,13 +70,12 @@ class Trajectory:
                     f"holding must imply contact, found {names[first]!r} holding "
                     f"{names[second]!r} without contact at step {step}"
                 )
-        if self.orientation is not None and self.orientation.shape[2] == 1:
+        if self.orientation.shape[2] == 1:
             self._continue_angles(self.orientation)
 
     def __repr__(self) -> str:
         always = ("position", "velocity", "control")
-        there = [name for name in fields_of(self) if getattr(self, name) is not None]
-        given = [name for name in there if name not in always]
+        given = [name for name in given_fields(self) if name not in always]
         sizes = f"T={self.steps}, N={self.scene.node_count}, D={self.scene.dimension}"
         return f"Trajectory({', '.join([sizes, f'U={self.control_size}', *given])})"
 
@@ -86,11 +85,9 @@ class Trajectory:
         They are not turned where the orientation is not known.
         """
         dimension = self.scene.dimension
-        turn = np.zeros((len(self.position), 1, 3))
-        if self.orientation is not None:
-            known = self.orientation[:, node]
-            vectors = known * [0.0, 0.0, 1.0] if dimension == 2 else rotation_vectors(known)
-            turn[:, 0] = np.nan_to_num(vectors)
+        angle = self.orientation[:, node]
+        vectors = angle * [0.0, 0.0, 1.0] if dimension == 2 else rotation_vectors(angle)
+        turn = np.nan_to_num(vectors)[:, None]
         return [
             self.position[:, node, None]
             + turned_by(turn, np.pad(outline, ((0, 0), (0, 3 - dimension))))[..., :dimension]

@@ -79,8 +79,8 @@ class Nodes(NamedTuple, Generic[Array]):
 PROPERTIES = {
     **{name: field for name, field in fields_of(Scene).items() if name in Nodes._fields},
     "type_id": Field("N", np.int32),
-    "half_size": Field("N D"),
-    "outlines": Field("N Q V D"),
+    "half_size": Field("N D", fill=0.0),
+    "outlines": Field("N Q V D", fill=0.0),
 }
 """The fields of `Nodes` that scenes tell, by name."""
 
@@ -197,23 +197,23 @@ def type_id(name: str) -> int:
 
 
 def node_properties(scene: Scene) -> dict[str, np.ndarray]:
-    """The `PROPERTIES` that a scene tells, without padding."""
-    found = {name: getattr(scene, name, None) for name in PROPERTIES}
-    found["type_id"] = np.array([type_id(name) for name in scene.node_type])
-    found["outlines"] = _outlines(scene)
-    return {name: value for name, value in found.items() if value is not None}
+    """The `PROPERTIES` of a scene, without padding."""
+    derived = {
+        "type_id": np.array([type_id(name) for name in scene.node_type]),
+        "outlines": _outlines(scene),
+    }
+    return {name: getattr(scene, name) for name in PROPERTIES if name not in derived} | derived
 
 
-def _outlines(scene: Scene) -> np.ndarray | None:
+def _outlines(scene: Scene) -> np.ndarray:
     """[N, Q, V, …] m: see `Nodes.outlines`."""
     of_node = [scene.outlines_of(node) for node in range(scene.node_count)]
     if scene.dimension == 3:
         of_node = [list(map(hull_rows, each)) for each in of_node]
     every = [rows for each in of_node for rows in each]
-    if not every:
-        return None
-    size = max(map(len, of_node)), max(map(len, every))
-    outlines = np.zeros((len(of_node), *size, *every[0].shape[1:]))
+    most = max(map(len, of_node), default=0), max(map(len, every), default=0)
+    point = (5, 3) if scene.dimension == 3 else (scene.dimension,)
+    outlines = np.zeros((len(of_node), *most, *point))
     for node, each in enumerate(of_node):
         for index, rows in enumerate(each):
             outlines[node, index:, : len(rows)] = rows
@@ -222,22 +222,13 @@ def _outlines(scene: Scene) -> np.ndarray | None:
 
 
 def property_shapes(scenes: Iterable[Scene]) -> dict[str, tuple[int, ...]]:
-    """The largest shape of each of the `PROPERTIES` that are more than padding in some scene."""
+    """The largest shape of each of the `PROPERTIES` that is given in some scene."""
     shapes: dict[str, tuple[int, ...]] = {}
     for scene in scenes:
         for name, value in node_properties(scene).items():
-            field = PROPERTIES[name]
-            if name in ("actuated", "type_id"):
-                needed = True
-            elif name == "control_of":  # All components act on a node that alone is actuated.
-                needed = scene.actuated.sum() > 1
-            elif field.axis[0] in ("J", "P"):
-                needed = len(value) > 0
-            else:
-                needed = not np.array_equal(
-                    value, np.full_like(value, field.padding), equal_nan=True
-                )
-            if needed:
+            # All components act on a node that alone is actuated.
+            implied = name == "control_of" and scene.actuated.sum() <= 1
+            if not PROPERTIES[name].is_absent(value) and not implied:
                 shapes[name] = tuple(map(max, value.shape, shapes.get(name, value.shape)))
     return shapes
 
@@ -254,17 +245,17 @@ def pad_nodes(
     if capacity < count:
         raise InvalidInputError(f"node_capacity must be at least {count}, found {capacity}")
     shapes = property_shapes([scene]) if shapes is None else shapes
-    given = node_properties(scene)
-    if "control_of" in shapes and "control_of" not in given:
-        given["control_of"] = np.repeat(scene.actuated[:, None], shapes["control_of"][1], axis=1)
+    own = node_properties(scene)
+    if "control_of" in shapes and scene.control_of is None:
+        own["control_of"] = np.repeat(scene.actuated[:, None], shapes["control_of"][1], axis=1)
     padded: dict[str, Any] = {}
     for name, shape in shapes.items():
         field = PROPERTIES[name]
         if field.axis[0] == "N":
             shape = (capacity, *shape[1:])
-        value = given.get(name, np.empty((0, *shape[1:])))
-        more = [(0, size - own) for size, own in zip(shape, value.shape, strict=True)]
-        if "V" in field.axis:  # Repeated corners and polygons change no outline.
+        value = own[name]
+        more = [(0, size - least) for size, least in zip(shape, value.shape, strict=True)]
+        if "V" in field.axis and value.size:  # Repeated corners and polygons change no outline.
             value = np.pad(value, [(0, 0), *more[1:]], mode="edge")
             more[1:] = [(0, 0)] * len(more[1:])
         padded[name] = np.pad(value.astype(field.kind), more, constant_values=field.padding)

@@ -19,8 +19,8 @@ def generalized_coordinates(
     turn_length: float | None,
     position: np.ndarray,
     velocity: np.ndarray,
-    orientation: np.ndarray | None = None,
-    angular_velocity: np.ndarray | None = None,
+    orientation: np.ndarray | float = np.nan,
+    angular_velocity: np.ndarray | float = np.nan,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions [..., G] m and velocities [..., G] m/s of bodies, with their turn in lengths.
 
@@ -31,13 +31,13 @@ def generalized_coordinates(
     if turn_length is None:
         return position, velocity
     dimension = position.shape[-1]
-    unknown = np.full((*position.shape[:-1], coordinate_count(dimension, 1.0) - dimension), np.nan)
-    turn = rate = unknown
-    if orientation is not None and dimension == 3:
-        turn = rotation_vectors(orientation)
-        rate = unknown if angular_velocity is None else turned_by(-turn, angular_velocity)
-    elif orientation is not None:
-        turn, rate = orientation, unknown if angular_velocity is None else angular_velocity
+    size = coordinate_count(dimension, 1.0) - dimension
+    bodies = position.shape[:-1]
+    turn = np.broadcast_to(orientation, (*bodies, 4 if dimension == 3 else size))
+    rate = np.broadcast_to(angular_velocity, (*bodies, size))
+    if dimension == 3:
+        turn = rotation_vectors(turn)
+        rate = turned_by(-turn, rate)
     return (
         np.concatenate([position, turn_length * turn], axis=-1),
         np.concatenate([velocity, turn_length * rate], axis=-1),

@@ -152,8 +152,7 @@ class StrikingPolicy:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
-        static = np.zeros(scene.node_count, bool) if scene.static is None else scene.static
-        self._objects = np.flatnonzero(~static & ~scene.actuated)
+        self._objects = np.flatnonzero(scene.passive)
         self._rng = np.random.default_rng(seed)
         self._noise.reset(scene.dimension, seed)
         self._step = 0

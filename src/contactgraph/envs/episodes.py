@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -138,13 +138,12 @@ class EpisodeStates:
         """The states under ``control`` [T, U]; the last one is repeated where T + 1 are more."""
         index = np.minimum(np.arange(len(control) + 1), len(self) - 1)
 
-        def recorded(name: str) -> np.ndarray | None:
+        def recorded(name: str) -> Any:
             if name not in self._observations[0]:
                 return None
             return np.stack([each[name] for each in self._observations])[index]
 
         position, velocity, contact = map(recorded, ("position", "velocity", "contact"))
-        assert position is not None and velocity is not None and contact is not None
         links = np.stack(self._link_positions)[index] if self._link_positions else None
         return Trajectory(
             scene,

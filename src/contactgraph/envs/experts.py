@@ -194,11 +194,10 @@ class DoorExpert:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` has no door."""
-        hinged = scene.anchor is not None and scene.node_count > DOOR
-        if scene.anchor is None or not hinged or not np.isfinite(scene.anchor[DOOR]).all():
+        if scene.node_count <= DOOR or not scene.hinged[DOOR]:
             raise InvalidInputError(
                 f"a door expert needs a node {DOOR} with an anchor, found nodes "
-                f"{list(scene.node_name)} and anchor {scene.anchor}"
+                f"{list(scene.node_name)} and anchor {scene.anchor.tolist()}"
             )
         if scene.goal is None or scene.mass is None:
             raise InvalidInputError(

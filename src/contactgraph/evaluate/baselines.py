@@ -52,13 +52,12 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     hinges not in the plane.
     """
     scene = trajectory.scene
-    static = np.zeros(scene.node_count, bool) if scene.static is None else scene.static
+    static, hinged = scene.static, scene.hinged.any()
     applied = node_force(trajectory)
     if trajectory.contact is None or scene.mass is None or applied is None:
         return None
     if not np.all(scene.mass[~static] > 0):
         return None
-    hinged = scene.anchor is not None and bool(np.any(np.isfinite(scene.anchor)))
     if hinged and scene.dimension != 2:
         return None
     starts = trajectory.steps - steps + 1
@@ -68,7 +67,7 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     inverse_mass = np.where(group @ static > 0.0, 0.0, 1.0 / mass)[:, None, :, None]
     force = _windows(applied, steps)
     acceleration = inverse_mass * (group[:, None] @ force)
-    if scene.gravity is not None:
+    if scene.has_weight:
         carried = (group @ scene.actuated > 0.0) * (group @ (scene.mass * ~scene.actuated))
         acceleration = acceleration + inverse_mass * carried[:, None, :, None] * scene.gravity
     dt = scene.dt
@@ -147,10 +146,9 @@ def hinged_positions(
     A group begins with its members' angular momentum about the hinge. A group on hinges at two
     positions cannot turn and stays at rest.
     """
-    anchor, mass = scene.anchor, scene.mass
-    if anchor is None or mass is None:
-        raise ValueError("scene must have anchors and masses")
-    hinged = np.isfinite(anchor).all(axis=1)
+    anchor, mass, hinged = scene.anchor, scene.mass, scene.hinged
+    if mass is None:
+        raise ValueError("scene must have masses")
     member = group * hinged
     turns = member.any(axis=-1)
     pivot = np.where(hinged[:, None], anchor, 0.0)[np.argmax(member, axis=-1)]

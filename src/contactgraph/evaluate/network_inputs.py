@@ -55,10 +55,7 @@ def scene_inputs(
     scene: Scene, control_size: int, types: Sequence[str], capacity: int
 ) -> SceneInputs:
     """The inputs of a scene, padded to ``capacity`` bodies; types not among ``types`` are blank."""
-    count, dimension = scene.node_count, scene.dimension
-    static = np.zeros(count, dtype=bool) if scene.static is None else scene.static
-    anchor = np.full((count, dimension), np.nan) if scene.anchor is None else scene.anchor
-    hinged = np.isfinite(anchor).all(axis=1)
+    count, static, hinged = scene.node_count, scene.static, scene.hinged
     one_hot = np.array(scene.node_type)[:, None] == np.array(types)
     flags = np.stack([scene.actuated, static, hinged], axis=1)
     acts = scene.control_of
@@ -76,7 +73,7 @@ def scene_inputs(
     return SceneInputs(
         features=padded(np.concatenate([one_hot, flags], axis=1)),
         acts=padded(acts),
-        anchor=padded(np.where(hinged[:, None], anchor, 0.0)),
+        anchor=padded(np.where(hinged[:, None], scene.anchor, 0.0)),
         exists=padded(np.ones(count)) > 0,
         linked=jnp.asarray(linked),
         movable=padded(~static) > 0,

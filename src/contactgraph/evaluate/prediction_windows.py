@@ -147,11 +147,9 @@ def trajectory_detail(
     elapsed = np.arange(1, steps + 1)[:, None, None]
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
     edge_exists = np.logical_and(exists[:, pairs[:, 0]], exists[:, pairs[:, 1]])
-    if trajectory.scene.pins is not None:  # what pins join need not be inferred
-        edge_exists[:, edge_id(*np.sort(trajectory.scene.pins, axis=1).T)] = False
-    moves = moving_bodies(recorded)
-    if trajectory.scene.static is not None:
-        moves = moves & ~trajectory.scene.static
+    # What pins join need not be inferred.
+    edge_exists[:, edge_id(*np.sort(trajectory.scene.pins, axis=1).T)] = False
+    moves = moving_bodies(recorded) & ~trajectory.scene.static
     unmeasured = by_lists(None)
     # The likelihood of motion is computed over all pairs, without neighbor lists.
     inferred = None if motion_noise is None else by_motion(None)

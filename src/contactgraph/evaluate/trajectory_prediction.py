@@ -51,9 +51,8 @@ class TrajectoryPrediction(eqx.Module):
 def largest_pin_gaps(scene: Scene, position: np.ndarray, turn_length: float | None) -> np.ndarray:
     """[S] m: the largest `pin_gaps` of windows [S, H, N, G]; infinite where a prediction is not
     finite, NaN where the scene has no pins or the model, without a ``turn_length``, no angles."""
-    if scene.pins is None or not len(scene.pins) or turn_length is None:
+    if not len(scene.pins) or turn_length is None:
         return np.full(len(position), np.nan)
-    assert scene.pin_points is not None
     place, angle = position[..., :2], position[..., 2] / turn_length
     with np.errstate(invalid="ignore"):
         gap = pin_gaps(scene.pins, scene.pin_points, place, angle)

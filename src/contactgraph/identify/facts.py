@@ -139,7 +139,7 @@ def scene_facts(dataset: Dataset) -> Facts:
         contact_distance=CONTACT_DISTANCE if distance is None else float(distance),
         # Scenes that tell it may have fingers, which close on command at any distance.
         learned_contact_distance=distance is None,
-        hinges=any(each.scene.has_hinges for each in dataset),
+        hinges=any(each.scene.hinged.any() for each in dataset),
     )
     weight = any(each.scene.has_weight for each in dataset)
     units = Units(1.0, (1.0,) * dataset.control_size)

@@ -9,7 +9,7 @@ import scipy
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.dynamics.actuation import ActuationFit
-from contactgraph.identify.shapes import hinged_nodes, pinned_group, pinned_motion
+from contactgraph.identify.shapes import pinned_group, pinned_motion
 
 _UNMOVED = 0.02
 """Change of another body's velocity, as a share of the own one's root mean square, up to which a
@@ -160,11 +160,11 @@ class _Steps(NamedTuple):
 
 
 def _free_steps(bodies: list[tuple[Trajectory, int]], drives: np.ndarray) -> _Steps:
-    scenes = [each.scene for each, _ in bodies if each.scene.pins is not None]
+    scenes = [each.scene for each, _ in bodies if len(each.scene.pins)]
     names = sorted({name for each in scenes for name in each.node_type})
     parts = []
     for each, node in bodies:
-        group = pinned_group(each.scene.pins, each.scene.node_count)[node]
+        group = pinned_group(each.scene)[node]
         apart = ~group & (np.arange(len(group)) != node)
         offset = np.linalg.norm(each.position - each.position[:, node : node + 1], axis=-1)
         offset[:, ~apart] = np.inf
@@ -260,9 +260,9 @@ def fit_slowing(
         straight = np.sum(velocity[:-1] * velocity[1:], axis=-1) > _STRAIGHT * before * after
         alone = before > _MOVES * speed.max(initial=0.0)
         alone &= np.all(far | parts, axis=-1) & (straight | rests) & ~scene.actuated
-        alone &= ~hinged_nodes(scene)  # which slow down because they turn
+        alone &= ~scene.hinged  # which slow down because they turn
         slides = alone & (after < before)
-        if scene.gravity is not None and scene.has_weight:
+        if scene.has_weight:
             up = scene.gravity / np.linalg.norm(scene.gravity)
             slides &= np.abs(velocity[:-1] @ up) < _LEVEL * before
         for node, name in enumerate(scene.node_type):

@@ -8,7 +8,6 @@ import scipy
 from contactgraph.data.trajectory import Trajectory
 from contactgraph.dynamics.actuation import ActuationFit
 from contactgraph.identify.free_motion import driving_components, driving_control
-from contactgraph.identify.shapes import hinged_nodes
 from contactgraph.model.presets import PLANE, Impacts
 
 _KINKS = 0.05
@@ -76,15 +75,14 @@ def _carried(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
     the size of what the hand gives, m/s."""
     scene, kind = each.scene, each.scene.node_type
     unit = np.abs(each.velocity).max(initial=0.0)
-    gravity = np.zeros(scene.dimension) if scene.gravity is None else scene.gravity
     change = np.diff(each.velocity, axis=0)
     for hand in np.flatnonzero(scene.actuated & np.isfinite(pushed).all(axis=(0, 2))):
-        for body in np.flatnonzero(~scene.actuated & ~hinged_nodes(scene)):
+        for body in np.flatnonzero(~scene.actuated & ~scene.hinged):
             apart = np.linalg.norm(each.velocity[:, hand] - each.velocity[:, body], axis=-1)
             along = np.maximum(apart[1:], apart[:-1]) < _ALONG * unit
             moves = np.linalg.norm(each.velocity[1:, body], axis=-1) > _MEETS * unit
             gives = (change - pushed)[:, hand]
-            gets = change[:, body] - scene.dt * gravity
+            gets = change[:, body] - scene.dt * scene.gravity
             ratio = -np.sum(gives * gets, axis=-1)
             ratio = ratio / np.maximum(np.sum(gives**2, axis=-1), 1e-30)
             first, second = sorted((hand, body), key=lambda node: kind[node])
@@ -114,13 +112,11 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
     before = (each.velocity[:-1] + 0.5 * pushed) / unit
     after = (each.velocity[1:] - 0.5 * pushed) / unit
     meets = ~(np.linalg.norm(after - before, axis=-1) <= _KINKS)
-    hinged = hinged_nodes(scene)
-    fixed = np.flatnonzero(np.zeros(len(kind), bool) if scene.static is None else scene.static)
-    normals = np.zeros((0, scene.dimension)) if scene.planes is None else scene.planes[:, :-1]
+    fixed, normals = np.flatnonzero(scene.static), scene.planes[:, :-1]
     for step in np.flatnonzero(meets.any(axis=1)):
         x, v = each.position[step : step + 2], np.stack([before[step], after[step]])
         struck = np.flatnonzero(meets[step])
-        if len(struck) > 2 or hinged[struck].any() or np.isnan(v[0, struck]).any():
+        if len(struck) > 2 or scene.hinged[struck].any() or np.isnan(v[0, struck]).any():
             continue
         one, found = struck[0], []
         for other in struck[1:] if len(struck) == 2 else fixed:

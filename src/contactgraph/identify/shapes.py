@@ -12,7 +12,7 @@ from jaxtyping import Array
 from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import placed
 from contactgraph.data.dataset import Dataset
-from contactgraph.data.graph import pair_indices, passive_nodes
+from contactgraph.data.graph import joined, pair_indices
 from contactgraph.data.outlines import outline_moments
 from contactgraph.data.scene import Scene, box_distance
 from contactgraph.data.trajectory import Trajectory
@@ -87,7 +87,7 @@ def _touching(
     Where that is hardly ever seen: how near bodies come to each other in some trajectories.
     ``distances`` [T+1, N, N] m are those of a trajectory.
     """
-    if any(each.scene.has_hinges for each in dataset):
+    if any(each.scene.hinged.any() for each in dataset):
         return CONTACT_DISTANCE, np.inf  # is that from a bar's middle line
     begins, nearest = [np.zeros(0)], []
     for each in dataset:
@@ -120,14 +120,15 @@ def with_turning(config: ModelConfig, dataset: Dataset) -> ModelConfig:
     turns_in_step = [np.zeros(1)]
     for each in dataset:
         scene = each.scene
-        if each.orientation is None or each.angular_velocity is None or not scene.polygons:
+        turning = each.orientation, each.angular_velocity
+        if not scene.polygons or any(np.isnan(known).all() for known in turning):
             return config
         turned = np.any(np.nan_to_num(np.ptp(_turns(each), axis=0)) > _TURNS, axis=-1)
         if on_planes(scene):
             rate = np.linalg.norm(each.angular_velocity, axis=-1)
             turns_in_step.append(scene.dt * rate.ravel())
-            turned |= passive_nodes(scene)
-        for node in np.flatnonzero(turned & has_outline(scene)).tolist():
+            turned |= scene.passive
+        for node in np.flatnonzero(turned & scene.outlined).tolist():
             moments = [outline_moments(outline) for outline in scene.outlines_of(node)]
             total = sum(size for size, _ in moments)
             whole = sum(size * square for size, square in moments) / total
@@ -149,7 +150,6 @@ def with_turning(config: ModelConfig, dataset: Dataset) -> ModelConfig:
 
 def _turns(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, 1 or 3] rad."""
-    assert trajectory.orientation is not None and trajectory.angular_velocity is not None
     moved = generalized_coordinates(
         1.0,
         trajectory.position,
@@ -166,12 +166,10 @@ def centre_distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
     ``boxes``: those that have a size are boxes, see `box_distance`.
     """
     offset = trajectory.position[:, :, None] - trajectory.position[:, None]
-    half = trajectory.scene.half_size if boxes else None
-    if half is None:
-        apart = np.linalg.norm(offset, axis=-1)
-    else:
-        apart = box_distance(offset, half[:, None] + half)
-    return apart + np.diag(np.full(trajectory.scene.node_count, np.inf))
+    half = trajectory.scene.half_size * boxes
+    return box_distance(offset, half[:, None] + half) + np.diag(
+        np.full(trajectory.scene.node_count, np.inf)
+    )
 
 
 def outline_gaps(trajectory: Trajectory) -> np.ndarray:
@@ -201,18 +199,18 @@ def outline_distances(trajectory: Trajectory, contact_distance: float) -> np.nda
     """[T+1, N, N] m: the gaps, as of round bodies that touch at ``contact_distance``, whose half is
     the radius of bodies without an outline; 0 of those that pins join, which move each other."""
     scene = trajectory.scene
-    round_ = ~has_outline(scene)
+    round_ = ~scene.outlined
     radii = np.add.outer(round_, round_) * 0.5 * contact_distance
     apart = outline_gaps(trajectory) - radii + contact_distance
-    return np.where(pinned_group(scene.pins, scene.node_count), 0.0, apart)
+    return np.where(pinned_group(scene), 0.0, apart)
 
 
 def round_distances(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, N] m: gaps of round bodies from others, in their diameters; infinite for others."""
     scene = trajectory.scene
-    round_ = ~has_outline(scene)
+    round_ = ~scene.outlined
     count = np.add.outer(round_, round_)
-    apart = (count == 0) | pinned_group(scene.pins, scene.node_count)
+    apart = (count == 0) | pinned_group(scene)
     return np.where(apart, np.inf, outline_gaps(trajectory) * np.where(count == 1, 2.0, 1.0))
 
 
@@ -224,7 +222,7 @@ def plane_distances(dataset: Dataset, shaped: Collection[str]) -> dict[str, floa
     """
     heights: dict[str, list[np.ndarray]] = {}
     for each in dataset:
-        if each.scene.planes is not None and len(each.scene.planes):
+        if len(each.scene.planes):
             height = plane_heights(each, outlines=bool(shaped))
             for node, name in enumerate(each.scene.node_type):
                 heights.setdefault(name, []).append(height[:, node])
@@ -248,44 +246,32 @@ def _densest(values: np.ndarray) -> float:
 def plane_heights(trajectory: Trajectory, outlines: bool) -> np.ndarray:
     """[T+1, N] m: of a body's centre above any plane, or of the lowest point of its outline."""
     scene, position = trajectory.scene, trajectory.position
-    assert scene.planes is not None
     normal, offset = scene.planes[:, :-1].T, scene.planes[:, -1]
     heights = position @ normal - offset
-    for node in np.flatnonzero(outlines & has_outline(scene)).tolist():
+    for node in np.flatnonzero(outlines & scene.outlined).tolist():
         vertices = np.concatenate(trajectory.outlines_of(node), axis=1)
         heights[:, node] = np.min(vertices @ normal - offset, axis=1)
     return np.asarray(heights.min(axis=-1))
 
 
-def has_outline(scene: Scene) -> np.ndarray:
-    """[N] bool: the nodes of which an outline is given."""
-    return np.array([bool(scene.outlines_of(node)) for node in range(scene.node_count)])
-
-
 def all_outlined(dataset: Dataset) -> bool:
     """Whether the outlines of all nodes are given."""
-    return all(has_outline(each.scene).all() for each in dataset)
+    return all(each.scene.outlined.all() for each in dataset)
 
 
 def on_planes(scene: Scene) -> bool:
     """Whether bodies lie on planes, or fall on them."""
-    return scene.has_weight and scene.planes is not None and len(scene.planes) > 0
+    return scene.has_weight and len(scene.planes) > 0
 
 
-def hinged_nodes(scene: Scene) -> np.ndarray:
-    """[N] bool: the nodes that hang on a hinge."""
-    anchor = np.full((scene.node_count, 1), np.nan) if scene.anchor is None else scene.anchor
-    return np.asarray(np.isfinite(anchor).all(axis=-1))
-
-
-def pinned_group(pins: np.ndarray | None, count: int) -> np.ndarray:
-    """[N, N] bool: whether pins join two of ``count`` nodes, directly or through others; False of a
-    node with itself."""
-    group = np.eye(count, dtype=bool)
-    for _ in range(count):
-        for first, second in [] if pins is None else pins.tolist():
-            group[first] = group[second] = group[first] | group[second]
-    return group & ~np.eye(count, dtype=bool)
+def pinned_group(scene: Scene) -> np.ndarray:
+    """[N, N] bool: whether pins join two nodes, directly or through others; False of a node with
+    itself."""
+    itself = np.eye(scene.node_count, dtype=bool)
+    first, second = scene.pins.T
+    pinned = np.zeros_like(itself)
+    pinned[first, second] = pinned[second, first] = True
+    return (joined(pinned[None])[0] > 0.0) & ~itself
 
 
 def pinned_motion(

@@ -53,15 +53,13 @@ def _trajectory(each: Trajectory, units: Units) -> Trajectory:
 
 
 def _scene(scene: Scene, length: float) -> Scene:
-    planes, metadata = scene.planes, dict(scene.metadata)
-    if planes is not None:
-        planes = planes / np.append(np.ones(scene.dimension), length)
+    metadata = dict(scene.metadata)
     distance = metadata.get("contact_distance")
     if isinstance(distance, int | float):
         metadata["contact_distance"] = distance / length
     return changed(
         scene,
         lambda field, value: value / length if field.of_length else value,
-        planes=planes,
+        planes=scene.planes / np.append(np.ones(scene.dimension), length),
         metadata=metadata,
     )

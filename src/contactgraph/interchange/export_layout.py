@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory
+from contactgraph.data.schema import given_fields
 
 MAP_FILE = "map.toml"
 """Beside the data in the folder of an export."""
@@ -92,8 +93,8 @@ class ExportLayout:
             for key, value in self.constants.items():
                 if key in _OF_BODY and np.isfinite(value[node]).all():
                     body[key] = value[node]
-            if scene.polygon_of is not None and node in scene.polygon_of:
-                outlines = zip(scene.polygons or (), scene.polygon_of, strict=True)
+            if node in scene.polygon_of:
+                outlines = zip(scene.polygons, scene.polygon_of, strict=True)
                 body["polygons"] = [each for each, of in outlines if of == node]
             tables.append(_table("[[body]]", body, columns[node,]))
         for index in range(self.dataset.control_size):
@@ -140,7 +141,7 @@ def export_layout(dataset: Dataset) -> ExportLayout:
         partly = np.any(known.any(axis=rest) & ~known.all(axis=rest))
         if partly or not all(np.array_equal(each, values[0], equal_nan=True) for each in values):
             left_out.append(f"scene {name}")
-        elif getattr(first, name) is not None:
+        elif name in given_fields(first):
             constants[name] = getattr(first, name)
     if any(each.link_positions is not None for each in dataset):
         left_out.append("link_positions")
@@ -148,7 +149,7 @@ def export_layout(dataset: Dataset) -> ExportLayout:
     def recorded(name: str) -> bool:
         """Whether it is in all trajectories."""
         owners = [each.scene if name == "goal" else each for each in dataset]
-        there = [getattr(each, name) is not None for each in owners]
+        there = [name in given_fields(each) for each in owners]
         if any(there) and not all(there):
             left_out.append(f"{name} (not in all trajectories)")
         return all(there)

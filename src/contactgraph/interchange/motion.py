@@ -91,17 +91,14 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
     farther = max(distances) / max(float(np.median(distances)), tiny)
     turns, turned, off = [np.zeros(0)], 0.0, 0.0
     for _, each, node in runs:
-        if each.orientation is None:
-            continue
         poses = each.orientation[:, node]
         turn = poses if poses.shape[1] == 1 else rotation_vectors(poses)
         turns.append(turn_between(turn[:-1], turn[1:]))
-        if each.angular_velocity is not None:
-            recorded = each.angular_velocity[1:, node]
-            both = np.isfinite(turns[-1]) & np.isfinite(recorded[:, 0])
-            rates = angular_velocity(poses[:-1][both], poses[1:][both], dt)
-            turned += dt * float(np.linalg.norm(rates, axis=-1).sum())
-            off += dt * float(np.linalg.norm(rates - recorded[both], axis=-1).sum())
+        recorded = each.angular_velocity[1:, node]
+        both = np.isfinite(turns[-1]) & np.isfinite(recorded[:, 0])
+        rates = angular_velocity(poses[:-1][both], poses[1:][both], dt)
+        turned += dt * float(np.linalg.norm(rates, axis=-1).sum())
+        off += dt * float(np.linalg.norm(rates - recorded[both], axis=-1).sum())
     known = np.concatenate(turns)[np.isfinite(np.concatenate(turns))]
     turning = known[known > _TURNING]
     usual = float(np.median(turning)) if len(turning) else 0.0
@@ -109,7 +106,7 @@ def _motion(dataset: Dataset, name: str) -> BodyMotion:
     drift = max(
         float(np.linalg.norm(place - place[0], axis=1).max())
         / max(float(np.linalg.norm(np.ptp(each.position, axis=(0, 1)))), tiny)
-        if each.scene.static is not None and each.scene.static[node]
+        if each.scene.static[node]
         else 0.0
         for place, (_, each, node) in zip(places, runs, strict=True)
     )

@@ -324,7 +324,7 @@ def _states(dataset: Dataset, count: int) -> Iterator[_State]:
     for one, step in every[:: -(-len(every) * count // _MAX_SAMPLED_NODES)]:
         padding = ((0, count - one.scene.node_count), (0, 0))
         anchor = None
-        if one.scene.anchor is not None:
+        if one.scene.hinged.any():
             anchor = np.pad(one.scene.anchor, padding, constant_values=np.nan)
         mask = np.arange(count) < one.scene.node_count
         yield np.pad(one.position[step], padding), np.pad(one.velocity[step], padding), mask, anchor

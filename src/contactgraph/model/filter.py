@@ -59,16 +59,16 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
             f"{other} has nodes of type {', '.join(unknown)}, which the model does not know; it "
             f"knows {', '.join(model.features.types)}"
         )
-    if model.features.turn_length is not None and scene.polygons is None:
+    if model.features.turn_length is not None and not scene.polygons:
         raise InvalidInputError(
             f"the model is for bodies that turn, but {other} has no polygons, their outlines"
         )
-    if model.features.hinges is True and not scene.has_hinges:
+    if model.features.hinges is True and not scene.hinged.any():
         raise InvalidInputError(
             f"the model is for bodies on hinges, but {other} has no anchor, the position of "
             "each hinge"
         )
-    if model.features.hinges is False and scene.has_hinges:
+    if model.features.hinges is False and scene.hinged.any():
         raise InvalidInputError(
             f"the model has no hinges, but {other} has an anchor; train a model on such data"
         )

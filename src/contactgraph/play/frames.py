@@ -126,7 +126,7 @@ def _scene_of(scene: Scene, name: str, episode: Episode, control_size: int) -> S
     """A scene at rest as it begins, for the renderer of reports."""
     observation, links = episode.observation, episode.link_positions
 
-    def twice(value: np.ndarray | None) -> np.ndarray | None:
+    def twice(value: np.ndarray | None) -> Any:
         return None if value is None else np.stack([value, value])
 
     trajectory = Trajectory(

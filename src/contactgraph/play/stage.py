@@ -172,7 +172,7 @@ class Stage:
         wanted = _STIFFNESS * (to - observation["position"][node])
         wanted = wanted - _DAMPING * observation["velocity"][node]
         wanted *= min(1.0, _LARGEST_PULL / max(float(np.linalg.norm(wanted)), 1e-9))
-        if scene.gravity is not None and not scene.actuated[node]:
+        if not scene.actuated[node]:
             wanted = wanted - scene.gravity
         force = np.zeros((scene.node_count, scene.dimension))
         force[node] = mass * wanted

@@ -200,7 +200,7 @@ def _draw_ground(axes: Axes, scene: SceneTrajectory, below: Ground) -> None:
 def _draw_planes(axes: Axes, scene: SceneTrajectory) -> None:
     """A line for each plane of a scene in the plane, such as a floor or a wall."""
     planes = scene.trajectory.scene.planes
-    for x, y, offset in () if planes is None or scene.dimension != 2 else planes:
+    for x, y, offset in planes if scene.dimension == 2 else ():
         foot = offset * np.array([x, y])
         axes.axline(foot, foot + np.array([-y, x]), color=SOFT, lw=1.2, zorder=1)
 

@@ -149,8 +149,7 @@ class SceneTrajectory:
         scene = self.trajectory.scene
         if scene.radius is not None:
             return scene.radius
-        size = scene.size
-        sides = np.array([]) if size is None else size[np.isfinite(size)]
+        sides = scene.size[np.isfinite(scene.size)]
         radius = np.full(self.node_count, np.min(0.5 * sides, initial=_DEFAULT_RADIUS))
         for node in range(self.node_count):
             for outline in scene.outlines_of(node):
@@ -170,15 +169,13 @@ class SceneTrajectory:
         """[N, D] m: half extent of each node along every degree of freedom, box or ball."""
         ball = np.broadcast_to(self.radius[:, None], (self.node_count, self.dimension))
         size = self.trajectory.scene.size
-        return ball if size is None else np.where(np.isnan(size), ball, 0.5 * size)
+        return np.where(np.isnan(size), ball, 0.5 * size)
 
     @property
     def half_picture(self) -> np.ndarray:
         """[N, 2] m: half extent of each node to the right and up in the picture, box or ball."""
         ball = np.broadcast_to(self.radius[:, None], (self.node_count, 2))
         size = self.trajectory.scene.size
-        if size is None:
-            return ball
         return np.where(np.isnan(size[:, :1]), ball, self.projection.half_extent(size))
 
     @property
@@ -189,17 +186,17 @@ class SceneTrajectory:
     def box(self, node: int) -> np.ndarray | None:
         """[D] m: the sides of a node that is a box; None for any other node."""
         size = self.trajectory.scene.size
-        return None if size is None or np.isnan(size[node]).any() else size[node]
+        return None if np.isnan(size[node]).any() else size[node]
 
     def bar(self, node: int) -> np.ndarray | None:
         """[T+1, 2, D] m: hinge and tip of a node on a hinge; None for any other node.
 
         Its position is the bar's middle, its radius half the bar's thickness.
         """
-        anchor = self.trajectory.scene.anchor
-        if anchor is None or not np.isfinite(anchor[node]).all():
+        scene = self.trajectory.scene
+        if not scene.hinged[node]:
             return None
-        hinge = np.broadcast_to(anchor[node], (self.steps + 1, self.dimension))
+        hinge = np.broadcast_to(scene.anchor[node], (self.steps + 1, self.dimension))
         return np.stack([hinge, 2.0 * self.position[:, node] - hinge], axis=1)
 
     def edge_name(self, edge: int) -> str:
