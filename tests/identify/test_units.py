@@ -11,7 +11,7 @@ import pytest
 from contactgraph.cli.models import facts_text
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.identify import Units, fit_actuation, identify, in_units
-from contactgraph.identify.units import units_of
+from contactgraph.identify.facts import units_of
 from contactgraph.model import ModelState, ours, scene_nodes
 
 STEPS, DT = 40, 0.04

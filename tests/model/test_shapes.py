@@ -9,7 +9,7 @@ from jax.test_util import check_grads
 from model_scenes import geometry_of
 
 from contactgraph.bodies.shapes import box_displacement
-from contactgraph.data.scene import box_distance
+from contactgraph.data.trajectory import box_distance
 
 HALF = np.array([0.1, 0.2, 0.05])
 DT = 0.04

@@ -16,8 +16,8 @@ from contactgraph.data.graph import edge_id as edge_id
 from contactgraph.data.graph import joined as joined
 from contactgraph.data.graph import pair_count as pair_count
 from contactgraph.data.graph import pair_indices as pair_indices
-from contactgraph.data.scene import CONTROL_KINDS as CONTROL_KINDS
-from contactgraph.data.scene import Scene as Scene
+from contactgraph.data.trajectory import CONTROL_KINDS as CONTROL_KINDS
+from contactgraph.data.trajectory import Scene as Scene
 from contactgraph.data.trajectory import Trajectory as Trajectory
 from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.data.trajectory_batch import TrajectoryBatch as TrajectoryBatch

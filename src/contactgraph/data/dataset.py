@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.scene import Scene
 from contactgraph.data.schema import ABSENT, Field, changed
-from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.trajectory import Scene, Trajectory
 
 Metadata = dict[str, str | int | float | bool]
 

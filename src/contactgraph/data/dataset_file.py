@@ -12,9 +12,8 @@ import numpy as np
 from contactgraph.data.dataset import Dataset, Metadata
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.files import atomic_write, check_readable
-from contactgraph.data.scene import Scene
 from contactgraph.data.schema import Field, fields_of, given_fields
-from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.trajectory import Scene, Trajectory
 from contactgraph.data.untrusted_hdf5 import UntrustedGroup, opened
 
 FORMAT = "contactgraph-dataset"

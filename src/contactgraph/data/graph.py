@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.data.scene import Scene
+from contactgraph.data.trajectory import Scene
 
 
 def pair_count(node_count: Any) -> Any:

@@ -12,9 +12,8 @@ import numpy as np
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import candidate_pairs, pair_indices
 from contactgraph.data.outlines import hull_rows
-from contactgraph.data.scene import Scene
 from contactgraph.data.schema import Field, fields_of
-from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.trajectory import Scene, Trajectory
 from contactgraph.data.turns import coordinate_count, generalized_coordinates
 
 Array = TypeVar("Array")

@@ -12,6 +12,8 @@ import numpy as np
 
 from contactgraph.data.dataset import Dataset, masses_vary
 from contactgraph.data.errors import InvalidInputError
+from contactgraph.data.schema import Field, changed
+from contactgraph.data.trajectory import Trajectory
 from contactgraph.identify.free_motion import (
     driving_components,
     fit_actuation,
@@ -27,7 +29,6 @@ from contactgraph.identify.shapes import (
     plane_distances,
     with_shapes,
 )
-from contactgraph.identify.units import Units, in_units, units_of
 from contactgraph.inference.motion_noise import in_lengths
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig, Preset
@@ -37,6 +38,22 @@ _AVERAGED = 0.95
 _KEY = "contact_distance"
 _BOUNCES, _SLIDES = 0.02, 1e-3
 """Bounce, and deceleration by the ground in m/s^2, up to which there is none."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """What 1 of a model's length and of each component of its control is in the data.
+
+    Time is in seconds. Raises `InvalidInputError` where one is not a positive number.
+    """
+
+    length: float = 1.0
+    control: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for each in (self.length, *self.control):
+            if not (np.isfinite(each) and each > 0.0):
+                raise InvalidInputError(f"units must be positive numbers, found {each}")
 
 
 @dataclass(frozen=True)
@@ -217,6 +234,34 @@ def identify(dataset: Dataset, contact_distance: float | None = None) -> Facts:
     )
     facts = replace(facts, config=config, units=units)
     return facts if contact_distance is None else facts.with_contact_distance(contact_distance)
+
+
+def units_of(dataset: Dataset, contact_distance: float, usual: float) -> Units:
+    """Units in which bodies touch at about ``usual``, and the mean square of a control is 1.
+
+    The length is a power of 1000: 1 for metres, 1000 for millimetres.
+    """
+    control = np.concatenate([each.control for each in dataset])
+    spread = np.sqrt(np.mean(control**2, axis=0)) if len(control) else np.ones(0)
+    length = 1000.0 ** np.round(np.log10(contact_distance / usual) / 3.0)
+    return Units(float(length), tuple(float(each) or 1.0 for each in spread))
+
+
+def in_units(dataset: Dataset, units: Units) -> Dataset:
+    """The same trajectories, in these units."""
+
+    def scaled(field: Field, value: np.ndarray) -> np.ndarray:
+        return value / units.length if field.of_length else value
+
+    def converted(each: Trajectory) -> Trajectory:
+        scene, metadata = each.scene, dict(each.scene.metadata)
+        if isinstance(distance := metadata.get(_KEY), int | float):
+            metadata[_KEY] = distance / units.length
+        planes = scene.planes / np.append(np.ones(scene.dimension), units.length)
+        scene = changed(scene, scaled, planes=planes, metadata=metadata)
+        return changed(each, scaled, control=each.control / np.array(units.control), scene=scene)
+
+    return dataset.map(converted)
 
 
 def _node_types(dataset: Dataset) -> tuple[str, ...]:

@@ -14,10 +14,9 @@ from contactgraph.bodies.rotations import placed
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import joined, pair_indices
 from contactgraph.data.outlines import outline_moments
-from contactgraph.data.scene import Scene, box_distance
-from contactgraph.data.trajectory import Trajectory
+from contactgraph.data.trajectory import Scene, Trajectory, box_distance
 from contactgraph.data.trajectory_batch import pad_nodes
-from contactgraph.data.turns import generalized_coordinates
+from contactgraph.data.turns import rotation_vectors
 from contactgraph.model.presets import ModelConfig
 
 CONTACT_DISTANCE = 0.085
@@ -150,14 +149,8 @@ def with_turning(config: ModelConfig, dataset: Dataset) -> ModelConfig:
 
 def _turns(trajectory: Trajectory) -> np.ndarray:
     """[T+1, N, 1 or 3] rad."""
-    moved = generalized_coordinates(
-        1.0,
-        trajectory.position,
-        trajectory.velocity,
-        trajectory.orientation,
-        trajectory.angular_velocity,
-    )
-    return moved[0][..., trajectory.scene.dimension :]
+    turn = trajectory.orientation
+    return turn if trajectory.scene.dimension == 2 else rotation_vectors(turn)
 
 
 def centre_distances(trajectory: Trajectory, boxes: bool) -> np.ndarray:
