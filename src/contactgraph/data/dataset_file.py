@@ -188,18 +188,18 @@ def _read_trajectory(group: UntrustedGroup) -> Trajectory:
     if isinstance(dt, (str, bool)):
         raise InvalidInputError(f"{group.where}: dt must be a number of seconds, found {dt!r}")
     with _naming(group.where):
-        if "polygons" in arrays or "polygon_size" in arrays:
-            arrays["polygons"] = _cut(arrays.get("polygons"), arrays.pop("polygon_size", None))
+        if len(arrays.keys() & {"polygons", "polygon_size"}) == 1:
+            raise InvalidInputError("polygons and polygon_size must be given together")
+        if "polygons" in arrays:
+            arrays["polygons"] = _cut(arrays["polygons"], arrays.pop("polygon_size"))
         of_scene = {name: arrays.pop(name) for name in fields_of(Scene) if name in arrays}
         dimension = arrays["position"].shape[2]
         scene = Scene(**of_scene, dt=float(dt), dimension=dimension, metadata=metadata)
         return Trajectory(scene, **arrays)
 
 
-def _cut(corners: np.ndarray | None, sizes: np.ndarray | None) -> tuple[np.ndarray, ...]:
+def _cut(corners: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
     """The polygons of these sizes, whose corners ``[W, 2]`` are stored one after the other."""
-    if corners is None or sizes is None:
-        raise InvalidInputError("polygons and polygon_size must be given together")
     if np.any(sizes < 3) or int(sizes.sum(dtype=object)) != len(corners):
         raise InvalidInputError(
             f"polygon_size must be numbers of corners of at least 3, {len(corners)} in total, "

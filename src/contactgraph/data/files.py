@@ -148,7 +148,7 @@ class JsonFields:
         except ValueError as error:  # rows of different lengths
             raise self._wrong(name, wanted, value) from error
         if held.ndim != len(shape) or not all(
-            found > 0 and found == (found if each is None else each)
+            found > 0 and each in (None, found)
             for found, each in zip(held.shape, shape, strict=True)
         ):
             shown = reprlib.repr(value) if held.ndim == 0 else _times(held.shape)

@@ -157,8 +157,7 @@ def pad_trajectories(
         moved = generalized_coordinates(
             turn_length, each.position, each.velocity, each.orientation, each.angular_velocity
         )
-        if turn_length is not None:
-            _check_turns(each, *moved)
+        _check_turns(each, *moved)
         position[index][real], velocity[index][real] = np.nan_to_num(moved)
         control[index, : each.steps] = each.control
         if contact is not None and each.contact is not None:

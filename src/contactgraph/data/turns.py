@@ -63,20 +63,18 @@ def rotation_vectors(orientation: np.ndarray) -> np.ndarray:
     return np.asarray(turn)
 
 
-def continued_angles(angle: np.ndarray, rate: np.ndarray | None, dt: float) -> np.ndarray:
+def continued_angles(angle: np.ndarray, rate: np.ndarray, dt: float) -> np.ndarray:
     """[T+1, ...] rad: equal angles that go on without jumps of whole turns.
 
     Each is the one nearest to the angle before and its ``rate`` [T+1, ...] rad/s, so that bodies
-    may turn by more than half a turn in a step. NaN stays, and is passed over.
+    may turn by more than half a turn in a step. NaN stays, and is passed over; of a rate it is 0.
     """
     found = angle.copy()
     for index in np.ndindex(angle.shape[1:]):
         of_node = found[(slice(None), *index)]
         known = np.flatnonzero(np.isfinite(of_node))
-        expected = np.zeros(max(len(known) - 1, 0))
-        if rate is not None:
-            speed = np.nan_to_num(rate[(slice(None), *index)])
-            expected = speed[known[1:]] * dt * np.diff(known)
+        speed = np.nan_to_num(rate[(slice(None), *index)])
+        expected = speed[known[1:]] * dt * np.diff(known)
         turns = np.round((expected - np.diff(of_node[known])) / (2.0 * np.pi))
         of_node[known[1:]] += 2.0 * np.pi * np.cumsum(turns)
     return angle if np.array_equal(found, angle, equal_nan=True) else found

@@ -74,7 +74,7 @@ def interpolated_turns(at: np.ndarray, stamps: np.ndarray, turns: np.ndarray) ->
 def continued(turns: np.ndarray) -> np.ndarray:
     """Orientations [T+1, 1 or 4], whose angles and signs of quaternions continue without jumps."""
     if turns.shape[1] == 1:
-        return continued_angles(turns, None, 1.0)
+        return continued_angles(turns, np.zeros_like(turns), 1.0)
     known, found = np.isfinite(turns).all(axis=1), turns.copy()
     agree = np.sum(turns[known][1:] * turns[known][:-1], axis=1) >= 0.0
     found[known] *= np.cumprod([1.0, *np.where(agree, 1.0, -1.0)])[: known.sum(), None]
