@@ -1,8 +1,11 @@
 """Optional fields of scenes and trajectories: each rule, and its message."""
 
 import re
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -14,7 +17,9 @@ from contactgraph.data import (
     strip_contacts,
     subsample,
     with_edge_labels,
+    write_trajectories,
 )
+from contactgraph.data.dataset_file import REQUIRED
 
 STEPS, NODES = 4, 3
 
@@ -59,6 +64,26 @@ def test_every_field_is_stored_in_its_type() -> None:
     run = trajectory(of, holding=pairs().astype(int), orientation=np.zeros((5, 3, 1), int))
     assert run.holding is not None and run.holding.dtype == bool
     assert run.orientation.dtype == np.float64
+
+
+def test_what_is_not_given_has_no_rows_or_says_nothing(tmp_path: Path) -> None:
+    plain = trajectory(scene())
+    of = plain.scene
+    assert of.planes.shape == (0, 3) and of.pins.shape == (0, 2) and of.polygons == ()
+    assert not of.static.any() and not of.gravity.any() and not of.hinged.any()
+    assert np.isnan(of.reach).all() and of.reach.shape == (NODES, 2, 2)
+    assert np.isnan(plain.orientation).all() and plain.orientation.shape == (STEPS + 1, NODES, 1)
+    assert repr(plain) == f"Trajectory(T={STEPS}, N={NODES}, D=2, U=2)"
+    shorter = replace(
+        plain,
+        **{name: getattr(plain, name)[:3] for name in ("position", "velocity")},
+        control=plain.control[:2],
+    )
+    assert shorter.orientation.shape == (3, NODES, 1)
+    write_trajectories(tmp_path / "plain.h5", [plain])
+    with h5py.File(tmp_path / "plain.h5") as file:
+        stored = set(file["trajectories/000000"])
+    assert stored == {*("position", "velocity", "control"), *REQUIRED, "metadata"}
 
 
 def test_a_control_of_no_component_has_no_kind() -> None:
