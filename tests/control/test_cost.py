@@ -104,7 +104,7 @@ def test_the_independent_part_is_an_orthogonal_projection():
 
 def test_gravity_separates_an_axis():
     assert np.allclose(isotropic_axes(np.zeros(2)), 0.5)
-    upright = isotropic_axes(np.array([0.0, 0.0, -9.81]), 3)
+    upright = isotropic_axes(np.array([0.0, 0.0, -9.81]))
     assert np.allclose(upright, [[0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
     W = np.diag([1.0, 3.0, 7.0, 0.0, 0.0, 0.0])
     assert np.allclose(np.diag(independent_part(W, upright))[:3], [2.0, 2.0, 7.0])
