@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "contactgraph.model": _STEP,
     "contactgraph.large_scenes": {*_STEP, "contactgraph.model"},
     "contactgraph.identify": {*_STEP, "contactgraph.model"},
-    "contactgraph.train": {*_STEP, "contactgraph.model", "contactgraph.large_scenes"},
+    "contactgraph.train": {*_STEP, "contactgraph.model"},
     "contactgraph.relations": {*_STEP, "contactgraph.model", "contactgraph.train"},
     "contactgraph.control": {*_STEP, "contactgraph.feedback", "contactgraph.model"},
     "contactgraph.envs": {

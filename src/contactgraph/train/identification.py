@@ -4,6 +4,7 @@ The motion after an impact depends on its place and moment so steeply that gradi
 noise. A dozen numbers need none: differences of simulated steps tell them within seconds.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -13,14 +14,12 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.graph import edge_count
+from contactgraph.bodies.graph import EdgeList, edge_count
 from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.data.windows import window_weights
-from contactgraph.dynamics.contact_law import ContactLaw
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.train.batch import Window, window_source
-from contactgraph.train.filter_loss import given_steps
-from contactgraph.train.loss import chunked_vmap
+from contactgraph.train.batch import chunked_vmap, window_source
+from contactgraph.train.expectation_maximisation import steps_of_types
+from contactgraph.train.objective import FitState, Objective, TrainingData
 
 _SPREADS = {
     "bounce_raw": 0.3,
@@ -40,8 +39,20 @@ most evaluations of the residuals, without those."""
 
 def identifies_laws(model: ContactDynamics) -> bool:
     """Whether `identify_laws` finds all that this model learns: see `ModelConfig.identified`."""
-    head = getattr(model.local_dynamics, "head", None)
-    return isinstance(head, ContactLaw) and head.identified
+    return getattr(getattr(model.local_dynamics, "head", None), "identified", False)
+
+
+class LawIdentification(Objective):
+    """`identify_laws`, at once."""
+
+    stepwise = False
+
+    def advance(
+        self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
+    ) -> tuple[FitState, dict[str, Array]]:
+        """The state with these laws; there is no loss."""
+        model = identify_laws(state.model, data.batch)
+        return replace(state, model=model, step=state.step + count), {}
 
 
 def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) -> ContactDynamics:
@@ -50,14 +61,13 @@ def identify_laws(model: ContactDynamics, batch: TrajectoryBatch[np.ndarray]) ->
     Maximum a posteriori: a normal prior about the model's own numbers, and a pseudo-Huber loss of
     the velocities in windows in which something happens; every near pair touches.
     """
-    weights = window_weights(batch, _STEPS, 1.0)
-    windows = window_source(batch, weights, False).draw(_WINDOWS, jax.random.key(0))
+    windows = window_source(batch, _STEPS, 1.0).draw(_WINDOWS, jax.random.key(0))
     leaves = {
         name: np.asarray(each, float) for name, each in zip(_SPREADS, _leaves(model), strict=True)
     }
     spread = np.concatenate([np.full(len(each), _SPREADS[name]) for name, each in leaves.items()])
     start = np.concatenate(list(leaves.values()))
-    free = np.asarray(windows.learned)[:, None, :, None]
+    free = np.asarray(windows.nodes.mobile)[:, None, :, None]
     typical = float(np.sqrt(np.mean(np.square(windows.velocity), where=free)))
     # Of bodies at rest, errors count from those on that a part of their weight would make.
     weight = model.dt * float(np.linalg.norm(np.asarray(windows.nodes.gravity)[0]))
@@ -92,14 +102,16 @@ def _leaves(model: Any) -> list[Array]:
 
 
 @eqx.filter_jit
-def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B L N G"]:
+def _velocity_errors(
+    model: ContactDynamics, windows: TrajectoryBatch[Array]
+) -> Float[Array, "B L N G"]:
     """m/s; of the bodies that move freely."""
     edges = edge_count(None, windows.position.shape[-2])
 
-    def errors(window: Window) -> Float[Array, "L N G"]:
+    def errors(window: TrajectoryBatch[Array]) -> Float[Array, "L N G"]:
         shape = _STEPS, edges, model.inference.edge_types
         touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
-        _, velocity, _ = given_steps(model, window, touching, touching, jnp.asarray(True))
-        return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)
+        _, velocity, _ = steps_of_types(model, window, touching, touching, jnp.asarray(True))
+        return jnp.where(window.nodes.mobile[:, None], velocity - window.velocity[1:], 0.0)
 
-    return chunked_vmap(errors, (windows,), edges)
+    return chunked_vmap(errors, windows, edges=edges)
