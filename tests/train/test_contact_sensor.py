@@ -16,8 +16,8 @@ from contactgraph.model import ContactSensor, ModelConfig, ours
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import filter_loss as reports_module
 from contactgraph.train.filter_loss import denial_score, filter_loss, random_reports
+from contactgraph.train.identification import likeliest_sensor
 from contactgraph.train.motion_evidence import motion_evidence
-from contactgraph.train.sensor_estimate import likeliest_sensor
 
 STILL, NOTHING = jnp.zeros(2), nothing_active(3)
 

@@ -1,5 +1,6 @@
 """Losses of the filter: the score of every step by hand, and which part learns from which."""
 
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -12,11 +13,12 @@ from training import CONFIG, split, window_of
 from contactgraph.data import TrajectoryBatch
 from contactgraph.model import ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
-from contactgraph.train.expectation_maximisation import corrected_beliefs, dynamics_loss
+from contactgraph.train.expectation_maximisation import dynamics_loss
 from contactgraph.train.filter_loss import filter_loss, predict_unobserved, random_segments
 from contactgraph.train.held_out import steps_between
 from contactgraph.train.motion_evidence import (
     encode_evidence,
+    filter_steps,
     held_where_near,
     likeliest_types,
     motion_evidence,
@@ -120,7 +122,10 @@ def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
 
     @eqx.filter_jit
     def corrected(model, given):
-        return corrected_beliefs(model, given, motion_evidence(model, given))
+        evidence = motion_evidence(model, given)
+        graph = encode_evidence(model, given, evidence)
+        observed = jnp.ones(evidence.types.shape[:2], bool)
+        return jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed).after
 
     found = jax.tree.map(np.asarray, corrected(MODEL, windows()))
     assert found.type_probability.shape == (2, 4, 1, 3)

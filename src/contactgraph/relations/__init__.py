@@ -102,7 +102,6 @@ class RelationModel(ContactDynamics):
         return self.local_dynamics.evidence(graph, self.dt, after)
 
 
-@dataclasses.dataclass(frozen=True)
 class TrajectoryObjective(WindowObjective):
     """Expectation maximisation along whole trajectories.
 
@@ -128,17 +127,14 @@ class TrajectoryObjective(WindowObjective):
         score = jnp.mean(jax.vmap(partial(trajectory_loss, model))(trajectories))
         return LossTerms.of(likelihood=score)
 
+    @eqx.filter_jit
     def first_beliefs(  # type: ignore[override]
         self, model: RelationModel, held_out: HeldOutWindows, devices: int
     ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
         """By the motion of the steps before each window."""
         drawn = held_out.source.take(held_out.trajectory, held_out.start)
-        return _beliefs_after(model, steps_between(drawn, 0, held_out.burn)), held_out.windows
-
-
-@eqx.filter_jit
-def _beliefs_after(model: RelationModel, windows: TrajectoryBatch[Array]) -> ContactBelief:
-    return jax.vmap(partial(trajectory_belief, model))(windows)
+        before = steps_between(drawn, 0, held_out.burn)
+        return jax.vmap(partial(trajectory_belief, model))(before), held_out.windows
 
 
 def trajectory_belief(model: RelationModel, trajectory: TrajectoryBatch[Array]) -> ContactBelief:

@@ -215,7 +215,7 @@ def add_distractor(
     from every body, also between two states. The node is masked out where several tries find no
     such position.
     """
-    batch, states, count, dimension = windows.position.shape
+    batch, states, _, dimension = windows.position.shape
     keys = jax.random.split(key, batch)
     place = windows.position
     if windows.nodes.outlines is not None:
@@ -223,24 +223,23 @@ def add_distractor(
         place = place[..., : windows.nodes.outlines.shape[-1]]
         wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1))
         nearest, farthest = nearest + wide, farthest + wide
-    drawn, clear = jax.vmap(
-        lambda position, mask, key: _distractor_position(position, mask, nearest, farthest, key)
-    )(place, windows.nodes.mask, keys)
+    drawn, clear = jax.vmap(_distractor_position, (0, 0, 0, None, None))(
+        place, windows.nodes.mask, keys, nearest, farthest
+    )
     drawn = jnp.pad(drawn, ((0, 0), (0, dimension - drawn.shape[1])))
     position = jnp.broadcast_to(drawn[:, None, None, :], (batch, states, 1, dimension))
-    edges = jnp.ones((batch, count), bool)
     return windows._replace(
         position=jnp.concatenate([windows.position, position], axis=2),
         velocity=jnp.concatenate([windows.velocity, jnp.zeros_like(position)], axis=2),
-        nodes=_with_distractor(windows.nodes, clear, edges),
+        nodes=_with_distractor(windows.nodes, clear),
     )
 
 
-def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array, "B N"]) -> Nodes:
+def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"]) -> Nodes:
     """One more node, of the type of the first that is neither actuated nor static."""
     first = jnp.argmax(nodes.passive, axis=1)[:, None]
     # `pair_indices` lists the pairs of a new last node after all others.
-    last: dict[str, Array] = {"mask": exists[:, None], "candidate": edges}
+    last: dict[str, Array] = {"mask": exists[:, None], "candidate": jnp.ones_like(nodes.mask)}
     for name, field in PROPERTIES.items():
         values = getattr(nodes, name)
         if values is not None and field.axis[0] == "N":
@@ -248,18 +247,17 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
             if name in _OF_TYPE:
                 of_first = first.reshape(-1, *(1,) * (values.ndim - 1))
                 last[name] = jnp.take_along_axis(values, of_first, axis=1)
-    return nodes._replace(
-        **{name: jnp.concatenate([getattr(nodes, name), each], 1) for name, each in last.items()}
-    )
+    joined = {name: jnp.concatenate([getattr(nodes, name), last[name]], 1) for name in last}
+    return nodes._replace(**joined)
 
 
 def _distractor_position(
     position: Float[Array, "L N D"],
-    mask: Array,
+    mask: Bool[Array, " N"],
+    key: PRNGKeyArray,
     nearest: Float[Array, ""] | float,
     farthest: Float[Array, ""] | float,
-    key: PRNGKeyArray,
-) -> tuple[Float[Array, " D"], Array]:
+) -> tuple[Float[Array, " D"], Bool[Array, ""]]:
     """A position for one distractor [m], and whether it keeps its distance."""
     node_key, step_key, direction_key, radius_key = jax.random.split(key, 4)
     tries = _PLACEMENT_TRIES

@@ -10,7 +10,7 @@ Each part is a program of its own, since programs compile in more than proportio
 the held-out trajectories are judged by the program of the others.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -30,7 +30,7 @@ from contactgraph.inference.contact_belief import (
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.train.batch import BatchSplit, WindowSource
+from contactgraph.train.batch import WindowSource
 from contactgraph.train.filter_loss import PERIOD, filter_optimiser, learn_filter
 from contactgraph.train.held_out import HeldOutWindows
 from contactgraph.train.motion_evidence import (
@@ -57,7 +57,6 @@ _JUDGED, _MOST, _LEAST = 6400, 32, 8
 _judge = eqx.filter_jit(motion_evidence)
 
 
-@dataclass(frozen=True)
 class ExpectationMaximisation(Objective):
     """`dynamics_loss`, and `filter_loss` in the second half of training."""
 
@@ -68,7 +67,7 @@ class ExpectationMaximisation(Objective):
 
     def optimiser(self, config: TrainConfig) -> optax.GradientTransformation:
         """Of the dynamics."""
-        return optax.chain(optimiser_of(config), bounded_distance(in_lengths=True))
+        return optimiser_of(config, bounded_distance(in_lengths=True))
 
     def optimiser_state(self, model: ContactDynamics, config: TrainConfig) -> PyTree:
         """Of the dynamics' optimiser, and of the filter's."""
@@ -83,25 +82,62 @@ class ExpectationMaximisation(Objective):
         self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
     ) -> tuple[FitState, dict[str, Array]]:
         """See `Objective.advance`. All pairs are judged, also where there is a list."""
-        config, source, split = data.config, data.source, data.split
-        rolls_out = state.step >= config.first_rollout
+        steps, split = data.source.weight.shape[1], data.split
         length = PERIOD if count % PERIOD == 0 else count
-        drawn_count = _count(source.weight.shape[1], split.parts)
-        periods = []
+        periods, joined = [], state.step >= data.config.first_rollout
         for _ in range(count // length):
-            state, drawn, keys = _draw(state, source, drawn_count)
+            state, drawn, (key, filter_key) = _draw(state, data.source, _count(steps, split.parts))
             evidence = _judge(state.model, split.shard(drawn.trajectories), split.parts)
-            learned = _learn_dynamics(
-                self, state, drawn, evidence, keys[0], config, length, rolls_out, split
-            )
-            state, terms = learned
-            if 2 * int(state.step) > config.steps:
-                trajectories, touch = drawn.trajectories, data.reports_touch
-                state, score = learn_filter(state, trajectories, evidence, keys[1], config, touch)
+            state, terms = self._learn_dynamics(state, data, drawn, evidence, key, length, joined)
+            if 2 * int(state.step) > data.config.steps:
+                state, score = learn_filter(state, data, drawn.trajectories, evidence, filter_key)
                 terms = replace(terms, likelihood=score)
             periods.append(terms)
         means = jax.tree.map(lambda *each: jnp.mean(jnp.stack(each)), *periods)
         return state, vars(means)
+
+    @eqx.filter_jit
+    def _learn_dynamics(
+        self,
+        state: FitState,
+        data: TrainingData,
+        drawn: WindowSource,
+        evidence: MotionEvidence,
+        key: PRNGKeyArray,
+        count: int,
+        joined: Bool[Array, ""],
+    ) -> tuple[FitState, LossTerms]:
+        """``count`` steps on windows of judged trajectories; the filter does not learn."""
+        config = data.config
+        params, static = eqx.partition(state.model, eqx.is_inexact_array)
+        # A half of the windows is predicted from their first states, as soon as that counts.
+        rolled_out = (jnp.arange(config.batch_size) % 2 == 1) & joined
+
+        def loss(
+            params: PyTree, windows: TrajectoryBatch[Array], evidence: MotionEvidence
+        ) -> tuple[Array, LossTerms]:
+            terms = dynamics_loss(eqx.combine(params, static), windows, evidence, rolled_out)
+            return terms.total(config.weights), terms
+
+        def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, LossTerms]:
+            trajectory, start = drawn.draw_starts(config.batch_size, key)
+            steps = trajectory[:, None], start[:, None] + jnp.arange(drawn.length)
+            told = jax.tree.map(lambda leaf: leaf[steps], evidence)
+            windows, told = data.split.shard((drawn.take(trajectory, start), told))
+            windows = told.weighed(windows)
+            (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, told)
+            return gradient, terms
+
+        of_dynamics, of_filter = state.optimiser
+        keys, optimiser = jax.random.split(key, count), self.optimiser(config)
+        params, of_dynamics, terms = descend(slope, optimiser, params, of_dynamics, keys)
+        learned = replace(
+            state,
+            model=eqx.combine(params, static),
+            optimiser=(of_dynamics, of_filter),
+            step=state.step + count,
+        )
+        return learned, terms
 
     def first_beliefs(
         self, model: ContactDynamics, held_out: HeldOutWindows, devices: int
@@ -126,51 +162,6 @@ def _draw(state: FitState, source: WindowSource, count: int) -> tuple:
     key, draw_key, *keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
     state = replace(state, key=jax.random.key_data(key))
     return state, source.draw_trajectories(count, draw_key), keys
-
-
-@eqx.filter_jit
-def _learn_dynamics(
-    objective: ExpectationMaximisation,
-    state: FitState,
-    source: WindowSource,
-    evidence: MotionEvidence,
-    key: PRNGKeyArray,
-    config: TrainConfig,
-    count: int,
-    rolls_out: Bool[Array, ""],
-    split: BatchSplit,
-) -> tuple[FitState, LossTerms]:
-    """``count`` steps on windows of judged trajectories; the filter does not learn."""
-    params, static = eqx.partition(state.model, eqx.is_inexact_array)
-    # A half of the windows is predicted from their first states, as soon as that counts.
-    rolled_out = (jnp.arange(config.batch_size) % 2 == 1) & rolls_out
-
-    def loss(
-        params: PyTree, windows: TrajectoryBatch[Array], evidence: MotionEvidence
-    ) -> tuple[Array, LossTerms]:
-        terms = dynamics_loss(eqx.combine(params, static), windows, evidence, rolled_out)
-        return terms.total(config.weights), terms
-
-    def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, LossTerms]:
-        trajectory, start = source.draw_starts(config.batch_size, key)
-        steps = trajectory[:, None], start[:, None] + jnp.arange(source.length)
-        told = jax.tree.map(lambda leaf: leaf[steps], evidence)
-        windows, told = split.shard((source.take(trajectory, start), told))
-        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(
-            params, told.weighed(windows), told
-        )
-        return gradient, terms
-
-    of_dynamics, of_filter = state.optimiser
-    keys, optimiser = jax.random.split(key, count), objective.optimiser(config)
-    params, of_dynamics, terms = descend(slope, optimiser, params, of_dynamics, keys)
-    learned = replace(
-        state,
-        model=eqx.combine(params, static),
-        optimiser=(of_dynamics, of_filter),
-        step=state.step + count,
-    )
-    return learned, terms
 
 
 def dynamics_loss(
@@ -253,18 +244,11 @@ def _first_beliefs(
     trajectories: TrajectoryBatch[Array],
     evidence: MotionEvidence,
 ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
-    """`ExpectationMaximisation.first_beliefs` from the evidence of whole trajectories."""
-    last = held_out.start + held_out.burn - 1
-    told = jax.tree.map(lambda leaf: leaf[held_out.trajectory, last][:, None], evidence)
-    along = corrected_beliefs(model, trajectories, evidence)
-    belief = jax.tree.map(lambda leaf: leaf[held_out.trajectory, last], along)
-    return belief, told.weighed(held_out.windows)
-
-
-def corrected_beliefs(
-    model: ContactDynamics, trajectories: TrajectoryBatch[Array], evidence: MotionEvidence
-) -> ContactBelief:
-    """[B, T, ...] the beliefs after every step, corrected by the motion of all up to it."""
+    """`ExpectationMaximisation.first_beliefs` by the evidence of whole trajectories."""
+    last = held_out.trajectory, held_out.start + held_out.burn - 1
     graph = encode_evidence(model, trajectories, evidence)
     observed = jnp.ones(evidence.types.shape[:2], bool)
-    return jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed).after
+    along = jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed)
+    belief = jax.tree.map(lambda leaf: leaf[last], along.after)
+    told = jax.tree.map(lambda leaf: leaf[last][:, None], evidence)
+    return belief, told.weighed(held_out.windows)

@@ -32,7 +32,7 @@ from contactgraph.train.motion_evidence import (
     where_observed,
     without_gradient,
 )
-from contactgraph.train.objective import FitState, TrainConfig, descend, optimiser_of
+from contactgraph.train.objective import FitState, TrainConfig, TrainingData, descend, optimiser_of
 from contactgraph.train.window_loss import masked_mean
 
 _SMALLEST = 1e-6
@@ -56,20 +56,20 @@ _DENIED, _UNMEASURED = 10, 0.5
 
 def filter_optimiser(config: TrainConfig) -> optax.GradientTransformation:
     """Over all of the filter's steps, which begin in the second half of training."""
-    return optimiser_of(config, max(1, config.steps // (2 * PERIOD)) * _FILTER_STEPS)
+    steps = max(1, config.steps // (2 * PERIOD)) * _FILTER_STEPS
+    return optimiser_of(config, steps=steps)
 
 
 @eqx.filter_jit
 def learn_filter(
     state: FitState,
+    data: TrainingData,
     trajectories: TrajectoryBatch[Array],
     evidence: MotionEvidence,
     key: PRNGKeyArray,
-    config: TrainConfig,
-    reports_touch: bool,
 ) -> tuple[FitState, Float[Array, ""]]:
     """Steps of the filter alone, and their mean score."""
-    hide_key, key = jax.random.split(key)
+    config, (hide_key, key) = data.config, jax.random.split(key)
     model, (of_dynamics, of_filter) = state.model, state.optimiser
     observed = random_segments(hide_key, evidence.types.shape[:2])
     pool = predict_unobserved(model, trajectories, evidence, observed)
@@ -80,7 +80,7 @@ def learn_filter(
         draw_key, key = jax.random.split(key)
         index = jax.random.randint(draw_key, (_FILTERED,), 0, len(observed))
         drawn, told, seen = jax.tree.map(lambda leaf: leaf[index], (*pool, observed))
-        score = filter_loss(learned, drawn, told, seen, key, reports_touch, _DENIAL)
+        score = filter_loss(learned, drawn, told, seen, key, data.reports_touch, _DENIAL)
         return config.weights.likelihood * score
 
     def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, Array]:

@@ -25,9 +25,12 @@ from contactgraph.train.held_out import (
     held_out_windows,
     rollout_rmse,
 )
-from contactgraph.train.identification import LawIdentification, identifies_laws
+from contactgraph.train.identification import (
+    LawIdentification,
+    check_contacts,
+    identifies_laws,
+)
 from contactgraph.train.objective import FitState, Objective, TrainConfig, TrainingData
-from contactgraph.train.sensor_estimate import check_contacts
 from contactgraph.train.window_loss import WindowObjective
 
 _TIE = 1e-3

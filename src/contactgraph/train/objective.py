@@ -128,8 +128,7 @@ class FitState(eqx.Module):
         return f"FitState(step {self.step}, best_error {self.best_error} m, {self.model!r})"
 
 
-@dataclass(frozen=True, eq=False)
-class TrainingData:
+class TrainingData(eqx.Module):
     """What a training reads, on its devices."""
 
     config: TrainConfig
@@ -144,6 +143,7 @@ class TrainingData:
     split: BatchSplit
 
 
+@dataclass(frozen=True)
 class Objective:
     """What training minimises of a model: all that the loop in `fit` knows of it.
 
@@ -163,7 +163,7 @@ class Objective:
 
     def optimiser(self, config: TrainConfig) -> optax.GradientTransformation:
         """Of the dynamics, or of the whole model."""
-        return optax.chain(optimiser_of(config), bounded_distance(in_lengths=False))
+        return optimiser_of(config, bounded_distance(in_lengths=False))
 
     def optimiser_state(self, model: ContactDynamics, config: TrainConfig) -> PyTree:
         """The state of all optimisers before the first step."""
@@ -182,23 +182,23 @@ class Objective:
         """Those of the held-out trajectories, of at most so many steps, that checks can afford."""
         return held_out
 
+    @eqx.filter_jit
     def first_beliefs(
         self, model: ContactDynamics, held_out: HeldOutWindows, devices: int
     ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
         """The beliefs in the first states of held-out windows; and the windows, with what the
         motion before them tells of their bodies."""
-        return _initial_beliefs(model, held_out.windows), held_out.windows
+        windows = held_out.windows
+        first = windows.position[:, 0], windows.velocity[:, 0], windows.nodes
+        edges = edge_count(model.neighbor_list, windows.position.shape[-2])
+        return chunked_vmap(model.initial_belief, *first, edges=edges), windows
 
 
-@eqx.filter_jit
-def _initial_beliefs(model: ContactDynamics, windows: TrajectoryBatch[Array]) -> ContactBelief:
-    first = windows.position[:, 0], windows.velocity[:, 0], windows.nodes
-    edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    return chunked_vmap(model.initial_belief, *first, edges=edges)
-
-
-def optimiser_of(config: TrainConfig, steps: int | None = None) -> optax.GradientTransformation:
-    """Adam with a rate that rises and then falls along a cosine, by default over all steps."""
+def optimiser_of(
+    config: TrainConfig, *further: optax.GradientTransformation, steps: int | None = None
+) -> optax.GradientTransformation:
+    """Adam with a rate that rises and then falls along a cosine, by default over all steps, and
+    ``further`` changes of its updates."""
     steps = config.steps if steps is None else steps
     rate = optax.warmup_cosine_decay_schedule(
         init_value=0.0,
@@ -207,7 +207,7 @@ def optimiser_of(config: TrainConfig, steps: int | None = None) -> optax.Gradien
         decay_steps=max(steps, min(100, steps) + 1),
         end_value=0.01 * config.learning_rate,
     )
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate), *further)
 
 
 def bounded_distance(in_lengths: bool) -> optax.GradientTransformation:

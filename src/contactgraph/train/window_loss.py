@@ -1,11 +1,11 @@
 """The paper's objective: errors of windows, one step and whole rollouts, and KL to the prior."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.bodies.graph import EdgeList, EncodedGraph, edge_count
 from contactgraph.bodies.shapes import Meeting
@@ -14,7 +14,6 @@ from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.train.batch import (
-    BatchSplit,
     WindowSource,
     add_distractor,
     chunked_vmap,
@@ -25,7 +24,6 @@ from contactgraph.train.objective import (
     FitState,
     LossTerms,
     Objective,
-    TrainConfig,
     TrainingData,
     descend,
 )
@@ -37,7 +35,6 @@ _CLEARANCE = 1.03
 """Least distance of a distractor, in learned contact distances."""
 
 
-@dataclass(frozen=True)
 class WindowObjective(Objective):
     """`window_loss`, and later in training `rollout_loss`, of windows with distractors."""
 
@@ -52,86 +49,65 @@ class WindowObjective(Objective):
         """The terms but that of rollouts, over a batch of ``windows`` of the ``source``."""
         return window_loss(model, windows, key, devices)
 
+    @eqx.filter_jit
     def advance(
         self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
     ) -> tuple[FitState, dict[str, Array]]:
-        """See `Objective.advance`."""
-        config, source, split = data.config, data.source, data.split
-        return _advance(self, state, source, config, count, data.distractors, neighbor_list, split)
+        """See `Objective.advance`; all in one scan.
 
+        The rollout term is under a condition, because a second program would take as long to
+        compile as to run. Where rollouts never count they are not compiled at all.
+        """
+        config, split = data.config, data.split
+        # Just outside the learned contact distance, so that training determines that distance.
+        nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
+        params, static = eqx.partition(state.model, eqx.is_inexact_array)
 
-@eqx.filter_jit
-def _advance(
-    objective: WindowObjective,
-    state: FitState,
-    source: WindowSource,
-    config: TrainConfig,
-    count: int,
-    distractors: int,
-    neighbor_list: EdgeList | None,
-    split: BatchSplit,
-) -> tuple[FitState, dict[str, Array]]:
-    """`WindowObjective.advance`, in one scan.
+        def model_of(params: PyTree) -> ContactDynamics:
+            return replace(eqx.combine(params, static), neighbor_list=neighbor_list)
 
-    The rollout term is under a condition, because a second program would take as long to compile as
-    to run. Where rollouts never count they are not compiled at all.
-    """
-    # Just outside the learned contact distance, so that training determines that distance.
-    nearest = _CLEARANCE * jnp.asarray(state.model.features.contact_distance)
-    params, static = eqx.partition(state.model, eqx.is_inexact_array)
+        def loss(
+            params: PyTree, windows: TrajectoryBatch[Array], key: PRNGKeyArray
+        ) -> tuple[Array, LossTerms]:
+            terms = self.terms(model_of(params), windows, data.source, key, split.parts)
+            return terms.total(config.weights), terms
 
-    def model_of(params: ContactDynamics) -> ContactDynamics:
-        return replace(eqx.combine(params, static), neighbor_list=neighbor_list)
+        def rolled_out(params: PyTree, windows: TrajectoryBatch[Array]) -> Array:
+            return rollout_loss(model_of(params), windows, split.parts)
 
-    def loss(
-        params: ContactDynamics, windows: TrajectoryBatch[Array], key: PRNGKeyArray
-    ) -> tuple[Array, LossTerms]:
-        terms = objective.terms(model_of(params), windows, source, key, split.parts)
-        return terms.total(config.weights), terms
+        def nothing(params: PyTree, windows: TrajectoryBatch[Array]) -> tuple[Array, PyTree]:
+            return jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
 
-    def rolled_out(params: ContactDynamics, windows: TrajectoryBatch[Array]) -> Array:
-        return rollout_loss(model_of(params), windows, split.parts)
+        def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, LossTerms]:
+            draw_key, place_key, key = jax.random.split(key, 3)
+            windows = split.shard(data.source.draw(config.batch_size, draw_key))
+            for distractor_key in jax.random.split(place_key, data.distractors):
+                windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
+            (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, key)
+            if self.rolls_out and config.rollout_from < 1.0:
+                joined, rolled = state.step >= config.first_rollout, jax.value_and_grad(rolled_out)
+                rollout, further = jax.lax.cond(joined, rolled, nothing, params, windows)
+                terms = replace(terms, rollout=rollout)
+                gradient = jax.tree.map(
+                    lambda one, other: one + config.weights.rollout * other, gradient, further
+                )
+            return gradient, terms
 
-    def nothing(
-        params: ContactDynamics, windows: TrajectoryBatch[Array]
-    ) -> tuple[Array, ContactDynamics]:
-        return jnp.zeros(()), jax.tree.map(jnp.zeros_like, params)
+        def next_key(key: PRNGKeyArray, _: None) -> tuple[PRNGKeyArray, PRNGKeyArray]:
+            key, step_key = jax.random.split(key)
+            return key, step_key
 
-    def slope(params: ContactDynamics, key: PRNGKeyArray) -> tuple[ContactDynamics, LossTerms]:
-        draw_key, place_key, sample_key = jax.random.split(key, 3)
-        windows = split.shard(source.draw(config.batch_size, draw_key))
-        for distractor_key in jax.random.split(place_key, distractors):
-            windows = add_distractor(windows, nearest, 3.0 * nearest, distractor_key)
-        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, sample_key)
-        if objective.rolls_out and config.rollout_from < 1.0:
-            rollout, further = jax.lax.cond(
-                state.step >= config.first_rollout,
-                jax.value_and_grad(rolled_out),
-                nothing,
-                params,
-                windows,
-            )
-            terms = replace(terms, rollout=rollout)
-            gradient = jax.tree.map(
-                lambda one, other: one + config.weights.rollout * other, gradient, further
-            )
-        return gradient, terms
-
-    def next_key(key: PRNGKeyArray, _: None) -> tuple[PRNGKeyArray, PRNGKeyArray]:
-        key, step_key = jax.random.split(key)
-        return key, step_key
-
-    key, keys = jax.lax.scan(next_key, jax.random.wrap_key_data(state.key), length=count)
-    optimiser = objective.optimiser(config)
-    params, optimiser_state, terms = descend(slope, optimiser, params, state.optimiser, keys)
-    after = replace(
-        state,
-        model=eqx.combine(params, static),
-        optimiser=optimiser_state,
-        key=jax.random.key_data(key),
-        step=state.step + count,
-    )
-    return after, vars(terms)
+        key, keys = jax.lax.scan(next_key, jax.random.wrap_key_data(state.key), length=count)
+        optimiser = self.optimiser(config)
+        params, optimiser_state, terms = descend(slope, optimiser, params, state.optimiser, keys)
+        after = replace(
+            state,
+            model=eqx.combine(params, static),
+            optimiser=optimiser_state,
+            key=jax.random.key_data(key),
+            step=state.step + count,
+        )
+        return after, vars(terms)
 
 
 def window_loss(
