@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from training import CONFIG, split, window_of
+from training import CONFIG, Enough, split, window_of
 
 from contactgraph.data import TrajectoryBatch
 from contactgraph.model import ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
-from contactgraph.train.expectation_maximisation import dynamics_loss
+from contactgraph.train.expectation_maximisation import ExpectationMaximisation, dynamics_loss
 from contactgraph.train.filter_loss import filter_loss, predict_unobserved, random_segments
 from contactgraph.train.held_out import steps_between
 from contactgraph.train.motion_evidence import (
@@ -181,6 +181,18 @@ def test_states_that_are_not_observed_are_predicted() -> None:
     begins = np.pad(observed[0], (1, 0), constant_values=True)[:-1]
     assert (change[0, ~begins, 0, :, 1:] < -1.0).all()
     np.testing.assert_array_equal(change[0, begins], 0.0)
+
+
+def test_a_filter_is_trained_on_all_pairs(recorded: Path, monkeypatch) -> None:
+    def stop(*rest: object) -> None:
+        raise Enough
+
+    monkeypatch.setattr(ExpectationMaximisation, "advance", stop)
+    with pytest.raises(Enough):
+        fit(
+            *(initial_state(MODEL, CONFIG, 0), *split(recorded), CONFIG),
+            near_pairs=lambda *rest: pytest.fail("no list is asked for"),
+        )
 
 
 @pytest.mark.slow

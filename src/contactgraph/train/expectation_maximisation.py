@@ -60,6 +60,7 @@ _judge = eqx.filter_jit(motion_evidence)
 class ExpectationMaximisation(Objective):
     """`dynamics_loss`, and `filter_loss` in the second half of training."""
 
+    near_pairs = False  # the types of all pairs are judged
     burn = 20
     least_burn = 1
     # Where geometry tells the contact, rollouts do not tell a filter that has hardly learned.
@@ -81,7 +82,7 @@ class ExpectationMaximisation(Objective):
     def advance(
         self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
     ) -> tuple[FitState, dict[str, Array]]:
-        """See `Objective.advance`. All pairs are judged, also where there is a list."""
+        """See `Objective.advance`."""
         steps, split = data.source.weight.shape[1], data.split
         length = PERIOD if count % PERIOD == 0 else count
         periods, joined = [], state.step >= data.config.first_rollout
@@ -143,7 +144,6 @@ class ExpectationMaximisation(Objective):
         self, model: ContactDynamics, held_out: HeldOutWindows, devices: int
     ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
         """By the motion of all steps before the windows; of the masses, by that of all steps."""
-        model = replace(model, neighbor_list=None)
         count = _count(held_out.source.weight.shape[1], devices)
         every = jax.tree.map(lambda leaf: leaf[:count], held_out.source.trajectories)
         evidence = _judge(model, every, devices)

@@ -143,15 +143,15 @@ def fit(
     `on_check` is called at every check and may save its state; an exception from it (as Ctrl-C
     does) ends the training. Each of several `devices` takes an equal part of every batch, with the
     same result up to rounding. With `near_pairs=ReallocatingModel` large scenes are trained with
-    neighbor lists. Raises `InvalidInputError` where trajectories are shorter than a window, a
-    batch cannot be split, or contacts cannot be used.
+    neighbor lists, but for a filter, which is judged on all pairs. Raises `InvalidInputError` where
+    trajectories are shorter than a window, a batch cannot be split, or contacts cannot be used.
     """
     began, objective = time.monotonic(), objective_of(state.model)
     train, held_out = near_origin(train), near_origin(held_out)
     data = training_data(state.model, objective, train, held_out, config, devices)
     checked, split = data.held_out, data.split
     baselines = checked.baselines(train.dt)
-    lists = near_pairs(state.model, train) if near_pairs else None
+    lists = near_pairs(state.model, train) if near_pairs and objective.near_pairs else None
     state = split.replicate(state)
 
     def advance(count: int, model: ContactDynamics) -> tuple[FitState, dict[str, Array], Array]:

@@ -152,6 +152,8 @@ class Objective:
 
     stepwise = True
     """Whether it is minimised along gradients, in which a network may die; else at once."""
+    near_pairs = True
+    """Whether edges may be restricted to lists of near pairs."""
     rolls_out = True
     """Whether the errors of rollouts are a term."""
     burn = 0
@@ -174,7 +176,7 @@ class Objective:
     ) -> tuple[FitState, dict[str, Array]]:
         """The state after ``count`` steps, and the terms of the loss by name, means over them.
 
-        Where there is a ``neighbor_list``, the edges may be restricted to it.
+        Where there is a ``neighbor_list``, it restricts the edges.
         """
         raise NotImplementedError
 
