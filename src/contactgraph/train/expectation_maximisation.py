@@ -62,7 +62,6 @@ class ExpectationMaximisation(Objective):
 
     near_pairs = False  # the types of all pairs are judged
     burn = 20
-    least_burn = 1
     # Where geometry tells the contact, rollouts do not tell a filter that has hardly learned.
     compared_from = 0.75
 

@@ -221,7 +221,7 @@ def training_data(
     batch, other = padded(labelled, contacts=config.use_contacts), padded(held_out, contacts=False)
     length, fraction = config.window_length, config.event_fraction
     shortest = min(each.steps for each in held_out)
-    burn = max(objective.least_burn, min(objective.burn, shortest - length))
+    burn = min(objective.burn, max(1, shortest - length))
     source, checked = split.replicate(
         (
             window_source(batch, length, fraction),
@@ -251,11 +251,10 @@ def scored(
     better = bool(error < before.best_error) or before.step <= begins < after.step
     rollouts = objective.rolls_out and config.rollout_from < 1.0
     counts = after.step > begins and not (rollouts and before.step < config.first_rollout)
+    in_vain = counts and not better
     return replace(
         after,
         best_model=after.model if better else before.best_model,
         best_error=error if better else before.best_error,
-        checks_without_gain=before.checks_without_gain + 1
-        if counts and not better
-        else jnp.zeros((), int),
+        checks_without_gain=(before.checks_without_gain + 1) * in_vain,
     )

@@ -158,7 +158,6 @@ class Objective:
     """Whether the errors of rollouts are a term."""
     burn = 0
     """Most steps before a held-out window whose motion tells the belief in its first state."""
-    least_burn = 0
     compared_from = -math.inf
     """Part of the steps from which held-out errors are compared: the first model after it is better
     than all before."""
