@@ -82,7 +82,7 @@ LONGEST_FILE = 400
 """100 to 250 lines are usual."""
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 25,  # a prediction step
-    "contactgraph.train.fit": 48,  # a training step, its held-out error and signs of a dead network
+    "contactgraph.train.fit": 46,  # a training step, its held-out error and signs of a dead network
     "contactgraph.control.active_set": 51,  # a control step
 }
 FRAMES = 17
