@@ -106,7 +106,7 @@ class NearPairs(Protocol):
 def objective_of(model: ContactDynamics) -> Objective:
     """The model's own objective, else that of its form."""
     own: Objective | None = getattr(model, "objective", None)
-    if own is not None:
+    if own:
         return own
     if identifies_laws(model):
         return LawIdentification()
