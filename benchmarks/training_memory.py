@@ -7,6 +7,7 @@ the planned memory.
 """
 
 import time
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -14,10 +15,10 @@ import jax.numpy as jnp
 from measuring import arguments, report
 from model_at_scale import crowd, listing
 
+from contactgraph.data import TrajectoryBatch
 from contactgraph.model import ContactDynamics, load_model, shipped_model
 from contactgraph.train import LossTerms
-from contactgraph.train.batch import Window
-from contactgraph.train.loss import window_loss
+from contactgraph.train.window_loss import rollout_loss, window_loss
 
 _STEPS = 50
 
@@ -28,17 +29,22 @@ def measured(
     """One row."""
     position, _, nodes = crowd(count)
     states = jax.ShapeDtypeStruct((1, _STEPS + 1, *position.shape), jnp.float32)
-    windows = Window(
+    windows = TrajectoryBatch(
         position=states,
         velocity=states,
         control=jax.ShapeDtypeStruct((1, _STEPS, model.control_size), jnp.float32),
+        contact=None,
         nodes=jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((1, *leaf.shape), leaf.dtype), nodes),
+        steps=jax.ShapeDtypeStruct((1,), int),
     )
     arrays, static = eqx.partition(model, eqx.is_inexact_array)
 
-    def loss(arrays: ContactDynamics, windows: Window) -> jax.Array:
+    def loss(arrays: ContactDynamics, windows: TrajectoryBatch[jax.Array]) -> jax.Array:
         whole = eqx.combine(arrays, static)
-        return window_loss(whole, windows, jax.random.key(0), with_rollout).total(LossTerms())
+        terms = window_loss(whole, windows, jax.random.key(0))
+        if with_rollout:
+            terms = replace(terms, rollout=rollout_loss(whole, windows))
+        return terms.total(LossTerms())
 
     began = time.perf_counter()
     compiled = jax.jit(jax.value_and_grad(loss)).lower(arrays, windows).compile()

@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "contactgraph.model": _STEP,
     "contactgraph.large_scenes": {*_STEP, "contactgraph.model"},
     "contactgraph.identify": {*_STEP, "contactgraph.model"},
-    "contactgraph.train": {*_STEP, "contactgraph.model", "contactgraph.large_scenes"},
+    "contactgraph.train": {*_STEP, "contactgraph.model"},
     "contactgraph.relations": {*_STEP, "contactgraph.model", "contactgraph.train"},
     "contactgraph.control": {*_STEP, "contactgraph.feedback", "contactgraph.model"},
     "contactgraph.envs": {
@@ -42,8 +42,12 @@ MAY_IMPORT = {
 }
 """Packages that stand below others, and the packages that each of them may import."""
 
-WINGS = {"contactgraph.relations"}
-"""Packages that a preset's name leads to, so that nobody reads them who does not use them."""
+WINGS = {
+    "contactgraph.relations": set[str](),
+    "contactgraph.large_scenes": {"contactgraph.evaluate", "contactgraph.cli"},
+}
+"""Packages that a preset's name or an argument leads to, so that nobody reads them who does not use
+them, and those that may import them: none of the core."""
 
 LIBRARY_TOP = [
     *("contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot", "contactgraph.play"),
@@ -78,7 +82,7 @@ LONGEST_FILE = 400
 """100 to 250 lines are usual."""
 MODULES_BEHIND = {
     "contactgraph.model.contact_dynamics": 25,  # a prediction step
-    "contactgraph.train.fit": 48,  # a training step, its held-out error and signs of a dead network
+    "contactgraph.train.fit": 46,  # a training step, its held-out error and signs of a dead network
     "contactgraph.control.active_set": 51,  # a control step
 }
 FRAMES = 17
@@ -206,13 +210,12 @@ def test_imports_go_one_way() -> None:
 
 
 @pytest.mark.parametrize("wing", sorted(WINGS))
-def test_nothing_imports_a_wing(wing: str) -> None:
+def test_the_core_imports_no_wing(wing: str) -> None:
     imports = read_imports(SRC)
     assert wing in imports
     inside = {module for module in imports if package_of(module) == wing}
-    assert [
-        module for module, found in imports.items() if module not in inside and found & inside
-    ] == []
+    outside = {package_of(module) for module, found in imports.items() if found & inside} - {wing}
+    assert outside <= WINGS[wing]
 
 
 def test_no_module_is_part_of_a_cycle() -> None:

@@ -60,7 +60,7 @@ def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         constant_velocity_rmse_m=0.375, standing_still_rmse_m=0.5, moving=True
     )
 
-    def fit(state, train, held_out, config, on_check, devices):
+    def fit(state, train, held_out, config, on_check, devices, near_pairs):
         for step, error in ((4, 0.5), (8, 0.25), (12, 0.125)):
             state = replace(state, step=jnp.asarray(step), best_error=jnp.asarray(error))
             terms = {"prediction": 2.0, "squared": 1.0, "rollout": step / 12 // 1, "prior": 0.5}

@@ -25,7 +25,7 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Makes the next training end with a status and an error, after two checks."""
 
     def end(status: FitStatus, error: float, baselines: HeldOutBaselines = BASELINES) -> None:
-        def fit(state, train, held_out, config, on_check, devices):
+        def fit(state, train, held_out, config, on_check, devices, near_pairs):
             for step, held_out_error in ((1, 2.0 * error), (2, error), (3, 3.0 * error)):
                 best = min(2.0 * error if step == 1 else error, held_out_error)
                 state = replace(state, step=jnp.asarray(step), best_error=jnp.asarray(best))

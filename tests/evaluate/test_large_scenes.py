@@ -134,7 +134,7 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
 def test_training_in_large_scenes_uses_neighbor_lists(model, apart) -> None:
     config = TrainConfig(steps=1, batch_size=2, window_length=2, rollout_from=1.0, bystanders=0)
     state = initial_state(model, config, 0)
-    result = fit(state, apart, apart, config)
+    result = fit(state, apart, apart, config, near_pairs=ReallocatingModel)
     assert result.status is FitStatus.finished
     assert math.isfinite(result.held_out_rmse_m)
     # What was learned is a model for scenes of any size.

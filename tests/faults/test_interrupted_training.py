@@ -64,7 +64,7 @@ def test_a_loss_that_is_not_finite_is_reported_and_no_model_is_written(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def fit(state, train, held_out, config, on_check, devices):
+    def fit(state, train, held_out, config, on_check, devices, near_pairs):
         baselines = HeldOutBaselines(1.0, 1.0, True)
         return FitResult(state.best_model, math.inf, FitStatus.not_finite, state, 1.0, baselines)
 

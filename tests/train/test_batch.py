@@ -19,8 +19,6 @@ from contactgraph.data import (
     pad_trajectories,
     window_weights,
 )
-from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.data.windows import Windows
 from contactgraph.train.batch import (
     WindowSource,
     add_distractor,
@@ -50,15 +48,10 @@ def padded():
     return pad_trajectories(Dataset((run(2, 5, 100.0), run(3, 8, 200.0))))
 
 
-def indices(windows: Windows, padded: TrajectoryBatch) -> np.ndarray:
-    """Of all windows, in a source of these trajectories."""
-    return windows.trajectory * padded.control.shape[1] + windows.start
-
-
 def test_windows_are_drawn_as_often_as_given(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
     assert windows.has_event.any() and not windows.has_event.all()
-    drawn = draw(window_source(padded, windows), 20_000, jax.random.key(0))
+    drawn = draw(window_source(padded, 3, 0.6), 20_000, jax.random.key(0))
     number = np.asarray(drawn.position[:, 0, 0, 0])
     expected = np.where(windows.trajectory == 0, 100.0, 200.0) + windows.start
     assert set(number) == set(expected)
@@ -69,7 +62,7 @@ def test_windows_are_drawn_as_often_as_given(padded) -> None:
 
 def test_a_window_is_a_section_of_its_trajectory(padded) -> None:
     windows = window_weights(padded, 3, 0.6)
-    batch = take(window_source(padded, windows), indices(windows, padded))
+    batch = take(window_source(padded, 3, 0.6), windows.trajectory, windows.start)
     for index, (number, start) in enumerate(zip(windows.trajectory, windows.start, strict=True)):
         for name, end in (("position", 4), ("velocity", 4), ("control", 3)):
             expected = getattr(padded, name)[number, start : start + end]
@@ -85,11 +78,11 @@ def test_hinges_go_with_their_trajectories(padded) -> None:
     hung = dataclasses.replace(hung, scene=dataclasses.replace(hung.scene, anchor=anchor))
     runs = pad_trajectories(Dataset((free, hung)))
     windows = window_weights(runs, 3, 0.6)
-    nodes = take(window_source(runs, windows), indices(windows, runs)).nodes
+    nodes = take(window_source(runs, 3, 0.6), windows.trajectory, windows.start).nodes
     hinged = np.asarray(jax.vmap(lambda nodes: nodes.hinged)(nodes))
     np.testing.assert_array_equal(hinged, (windows.trajectory == 1)[:, None] & [False, True, False])
     np.testing.assert_allclose(nodes.anchor[hinged], np.tile(anchor[1], (hinged.sum(), 1)))
-    assert window_source(padded, window_weights(padded, 3, 0.6)).trajectories.nodes.anchor is None
+    assert window_source(padded, 3, 0.6).trajectories.nodes.anchor is None
 
 
 def test_static_bodies_go_with_their_trajectories(padded) -> None:
@@ -100,18 +93,18 @@ def test_static_bodies_go_with_their_trajectories(padded) -> None:
     np.testing.assert_array_equal(static, [[False] * 4, [False, False, True, False]])
     assert pad_trajectories((run(2, 5, 100.0),)).nodes.static is None
     windows = window_weights(padded, 3, 0.6)
-    source = window_source(pad_trajectories(dataset), windows)
-    taken = take(source, indices(windows, padded))
+    source = window_source(pad_trajectories(dataset), 3, 0.6)
+    taken = take(source, windows.trajectory, windows.start)
     second = (windows.trajectory == 1)[:, None]
     np.testing.assert_array_equal(taken.nodes.static, second & [False, False, True])
     two_bodies, with_pillar = [True, True, False], [True, True, False]
-    np.testing.assert_array_equal(taken.learned, [two_bodies] * 3 + [with_pillar] * 6)
-    plain = take(window_source(padded, windows), indices(windows, padded))
+    np.testing.assert_array_equal(taken.nodes.mobile, [two_bodies] * 3 + [with_pillar] * 6)
+    plain = take(window_source(padded, 3, 0.6), windows.trajectory, windows.start)
     assert plain.nodes.static is None
-    np.testing.assert_array_equal(plain.learned, padded.nodes.mask[windows.trajectory])
+    np.testing.assert_array_equal(plain.nodes.mobile, padded.nodes.mask[windows.trajectory])
     among = eqx.filter_jit(add_distractor)(taken, 1e6, 2e6, jax.random.key(0))
-    np.testing.assert_array_equal(among.learned[:, :3], taken.learned)
-    assert np.all(among.learned[:, 3]), "the added body rests, but could move"
+    np.testing.assert_array_equal(among.nodes.mobile[:, :3], taken.nodes.mobile)
+    assert np.all(among.nodes.mobile[:, 3]), "the added body rests, but could move"
 
 
 def test_a_static_body_is_no_resting_body() -> None:
@@ -133,9 +126,8 @@ def test_training_reads_no_contact_labels() -> None:
     contact = np.ones((9, 3, 3), dtype=bool)
     padded = pad_trajectories((dataclasses.replace(labelled, contact=contact),))
     assert padded.contact is not None
-    source = window_source(padded, window_weights(padded, 3, 0.6))
-    assert source.trajectories.contact is None
-    assert {name for name in vars(take(source, np.arange(2))) if "contact" in name} == set()
+    zeros = np.zeros(2, int)
+    assert take(window_source(padded, 3, 0.6), zeros, zeros).contact is None
 
 
 PROGRAM = Path(__file__).with_name("on_devices.py")
@@ -164,8 +156,10 @@ def test_four_devices_train_what_one_trains(recorded: Path) -> None:
 
 
 def test_one_device_splits_nothing() -> None:
-    assert batch_split((), 7) is None
-    assert batch_split(jax.local_devices()[:1], 7) is None
+    for devices in ((), jax.local_devices()[:1]):
+        split, batch = batch_split(devices, 7), np.arange(7)
+        assert split.parts == 1
+        assert split.shard(batch) is batch and split.replicate(batch) is batch
 
 
 def test_a_batch_that_does_not_come_out_even() -> None:

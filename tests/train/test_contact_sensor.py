@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from training import CONFIG, first_state, split, window_of
 
-from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
+from contactgraph.data import Dataset, InvalidInputError, Nodes, TrajectoryBatch, strip_contacts
 from contactgraph.inference.contact_belief import nothing_active
 from contactgraph.model import ContactSensor, ModelConfig, ours
 from contactgraph.train import check_contacts, fit
-from contactgraph.train import judged_steps as reports_module
-from contactgraph.train.batch import Window
-from contactgraph.train.filter_loss import _denial_score, filter_loss
-from contactgraph.train.judged_steps import judge_steps, random_reports
-from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
+from contactgraph.train import filter_loss as reports_module
+from contactgraph.train.filter_loss import denial_score, filter_loss, random_reports
+from contactgraph.train.identification import likeliest_sensor
+from contactgraph.train.motion_evidence import motion_evidence
 
 STILL, NOTHING = jnp.zeros(2), nothing_active(3)
 
@@ -38,8 +37,8 @@ def test_reports_without_errors_are_the_contacts_late_by_up_to_three_steps(
 ) -> None:
     monkeypatch.setattr(reports_module, "_MOST_WRONG", 0.0)
     contact = labels(0, (4, 41, 3))
-    found = random_reports(jnp.asarray(contact), KEY, USED.at[:, 30:].set(False))
-    report, delays = np.asarray(found.report), []
+    report, found = random_reports(jnp.asarray(contact), KEY, USED.at[:, 30:].set(False))
+    report, delays = np.asarray(report), []
     for trajectory in range(4):
         delays.append(int(np.isnan(report[trajectory, :, 0]).argmin()))
         late = max(0, delays[-1])  # step t leads to state t + 1; no state is before the first
@@ -54,14 +53,14 @@ def test_reports_without_errors_are_the_contacts_late_by_up_to_three_steps(
 
 def test_errors_have_the_rates_that_the_correction_assumes() -> None:
     contact = jnp.asarray(labels(1, (64, 401, 3)))
-    found = random_reports(contact, KEY, jnp.ones((64, 400), bool))
+    report, found = random_reports(contact, KEY, jnp.ones((64, 400), bool))
     synchronous = np.asarray(found.miss) < reports_module._MOST_WRONG / 2
-    report, true = np.asarray(found.report)[synchronous], np.asarray(contact)[synchronous, 1:]
+    report, true = np.asarray(report)[synchronous], np.asarray(contact)[synchronous, 1:]
     share = np.mean((report != true) & (true > 0.5) & np.isfinite(report), axis=(1, 2))
     assert 0.0 < share.max() < 0.1
 
 
-def approach() -> Window:
+def approach() -> TrajectoryBatch:
     """A body that runs into another at rest."""
     position = jnp.zeros((2, 9, 2, 2)).at[:, :, 1, 0].set(0.12)
     position = position.at[:, :, 0, 0].set(0.01 * jnp.arange(9.0))
@@ -78,10 +77,10 @@ def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them(
 
     @eqx.filter_jit
     def score(contact: jax.Array, observed: jax.Array):
-        judged = judge_steps(model, window)
+        judged = motion_evidence(model, window)
 
         def loss(model):
-            return filter_loss(model, window, judged, mask, observed, KEY, contact)
+            return filter_loss(model, window._replace(contact=contact), judged, observed, KEY)
 
         return eqx.filter_value_and_grad(loss)(model)
 
@@ -94,7 +93,7 @@ def test_contacts_change_beliefs_and_nothing_but_the_inference_learns_from_them(
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
 
 
-def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> ReportedSteps:
+def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> dict:
     """Bodies that the prior knows to touch or not, and reports of them by this sensor."""
     contact = labels(edge_seed, (8, 201, 1))
     apart = np.where(contact[..., 0] > 0.5, 0.08, 0.12)  # free, but within the cutoff
@@ -111,12 +110,13 @@ def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> ReportedSteps:
     read = np.where(wrong, 1.0 - contact, contact).astype(np.float32)
     late = np.pad(read, ((0, 0), (sensor.delay, 0), (0, 0)))[:, : read.shape[1]]
     ratio = jnp.zeros((8, 200, 1, 3, 3))
-    return ReportedSteps(graph, ratio, jnp.asarray(late), jnp.ones((8, 200), bool))
+    real = jnp.ones((8, 200), bool)
+    return {"graph": graph, "log_ratio": ratio, "contact": jnp.asarray(late), "real": real}
 
 
 def test_rates_and_delay_are_recovered() -> None:
     for true in (ContactSensor(0.08, 0.03, True, 2), ContactSensor(0.02, 0.1)):
-        found = likeliest_sensor(MODEL, [synthetic(true)])
+        found = likeliest_sensor(MODEL, **synthetic(true))
         assert (found.delay, found.reports_touch) == (true.delay, True)
         assert found.false_alarm == pytest.approx(true.false_alarm, abs=0.02)
         assert found.miss == pytest.approx(true.miss, abs=0.02)
@@ -148,7 +148,7 @@ def denied(distance: jax.Array, speed: jax.Array, rate: jax.Array) -> jax.Array:
         return model.encode(position, velocity, STILL, nodes, NOTHING)
 
     graph = jax.vmap(jax.vmap(encode))(position, velocity)
-    return _denial_score(model, graph, KEY)
+    return denial_score(model, graph, KEY)
 
 
 def test_what_a_sensor_denies_about_bodies_that_touch_at_rest_is_to_last() -> None:

@@ -1,33 +1,33 @@
 """Resting bodies put into windows keep their distance and change nothing recorded."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, Scene, Trajectory, pad_trajectories
+from contactgraph.data import Dataset, Scene, Trajectory, TrajectoryBatch, pad_trajectories
 from contactgraph.model import Nodes
-from contactgraph.train.batch import Window, has_resting_bodies
 from contactgraph.train.batch import add_distractor as eager
+from contactgraph.train.batch import has_resting_bodies
 
 NEAREST, FARTHEST = 0.1, 0.3
 add_distractor = jax.jit(eager)
 
 
-def windows(position: np.ndarray, mask: list[bool]) -> Window:
+def windows(position: np.ndarray, mask: list[bool]) -> TrajectoryBatch:
     batch, states, count, _ = position.shape
     pairs = count * (count - 1) // 2
-    return Window(
+    return TrajectoryBatch(
         position=jnp.asarray(position, jnp.float32),
         velocity=jnp.ones(position.shape),
         control=jnp.zeros((batch, states - 1, 2)),
+        contact=None,
         nodes=Nodes(
             actuated=jnp.ones((batch, count), bool),
             mask=jnp.broadcast_to(jnp.asarray(mask), (batch, count)),
             candidate=jnp.zeros((batch, pairs), bool),
         ),
+        steps=jnp.full(batch, states - 1),
     )
 
 
@@ -57,7 +57,7 @@ def test_it_keeps_its_distance_from_every_body_at_every_step(dimension: int) -> 
 def test_recorded_nodes_are_unchanged_and_it_has_no_reach() -> None:
     before = windows(np.random.default_rng(1).normal(size=(4, 3, 2, 2)), [True, True])
     reach = jnp.tile(jnp.array([[[-1.0, -1.0], [1.0, 1.0]]]), (4, 2, 1, 1))
-    before = dataclasses.replace(before, nodes=before.nodes._replace(reach=reach))
+    before = before._replace(nodes=before.nodes._replace(reach=reach))
     after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
     np.testing.assert_array_equal(after.position[:, :, :2], before.position)
     np.testing.assert_array_equal(after.velocity[:, :, :2], before.velocity)

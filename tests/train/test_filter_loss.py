@@ -1,6 +1,6 @@
 """Losses of the filter: the score of every step by hand, and which part learns from which."""
 
-import dataclasses
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -8,24 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from training import CONFIG, split, window_of
+from training import CONFIG, Enough, split, window_of
 
+from contactgraph.data import TrajectoryBatch
 from contactgraph.model import ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
-from contactgraph.train.batch import Window
-from contactgraph.train.filter_loss import (
-    corrected_beliefs,
-    dynamics_loss,
-    encoded_steps,
-    filter_loss,
-)
-from contactgraph.train.judged_steps import (
+from contactgraph.train.expectation_maximisation import ExpectationMaximisation, dynamics_loss
+from contactgraph.train.filter_loss import filter_loss, predict_unobserved, random_segments
+from contactgraph.train.held_out import steps_between
+from contactgraph.train.motion_evidence import (
+    encode_evidence,
+    filter_steps,
     held_where_near,
-    judge_steps,
     likeliest_types,
-    predict_unobserved,
-    random_segments,
-    without_gradient,
+    motion_evidence,
 )
 
 DT, LEAST = 0.05, 2e-3
@@ -33,7 +29,7 @@ MODEL = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)
 
 
-def windows(length: int = 4) -> Window:
+def windows(length: int = 4) -> TrajectoryBatch:
     """A gripper that runs into a body at rest and takes it along, and one that stays away."""
     position, velocity = np.zeros((2, length + 1, 2, 2)), np.zeros((2, length + 1, 2, 2))
     velocity[:, :, 0, 0] = 1.0
@@ -44,23 +40,23 @@ def windows(length: int = 4) -> Window:
     return window_of(position, velocity, np.zeros((2, length, 2)))
 
 
-STEPS = jnp.ones((2, 4), bool)
 OBSERVED = jnp.array([[True, False, False, True], [False, True, True, False]])
 
 
 @eqx.filter_jit
-def both(model, given, mask):
-    judged = judge_steps(model, given)
+def both(model, given, steps=4):
+    given = given._replace(steps=jnp.full(2, steps))
+    judged = motion_evidence(model, given)
 
     def score(model):
-        return filter_loss(model, given, judged, mask, OBSERVED[:, : mask.shape[1]], KEY)
+        return filter_loss(model, given, judged, OBSERVED, KEY)
 
     value, slope = eqx.filter_value_and_grad(score)(model)
-    return value, slope, encoded_steps(model, given, judged), judged.log_ratio
+    return value, slope, encode_evidence(model, given, judged), judged.log_ratio
 
 
 def test_the_score_is_the_likelihood_of_the_motion() -> None:
-    value, slope, graph, ratio = both(MODEL, windows(), STEPS)
+    value, slope, graph, ratio = both(MODEL, windows())
     # A fresh filter predicts the geometric prior, with every type at least 0.002 before the cutoff.
     free = LEAST + (1.0 - 3 * LEAST) * np.asarray(graph.prior)
     weight = np.asarray(graph.weight)
@@ -83,18 +79,18 @@ def test_the_score_is_the_likelihood_of_the_motion() -> None:
 
 
 def test_steps_that_are_padding_do_not_count() -> None:
-    given, first = windows(), jnp.array([[True, False, False, False]] * 2)
+    given = windows()
     velocity = given.velocity.at[:, 2:].set(given.velocity[:, :1])  # the impact is in the next step
-    missed = dataclasses.replace(given, velocity=velocity)
-    assert float(both(MODEL, given, first)[0]) == float(both(MODEL, missed, first)[0])
-    assert float(both(MODEL, given, STEPS)[0]) != float(both(MODEL, missed, STEPS)[0])
+    missed = given._replace(velocity=velocity)
+    assert float(both(MODEL, given, 1)[0]) == float(both(MODEL, missed, 1)[0])
+    assert float(both(MODEL, given)[0]) != float(both(MODEL, missed)[0])
 
 
 def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_does_not() -> None:
     @eqx.filter_jit
     @eqx.filter_value_and_grad
     def squared(model):
-        judged, apart = judge_steps(model, windows()), jnp.zeros(2, bool)
+        judged, apart = motion_evidence(model, windows()), jnp.zeros(2, bool)
         return dynamics_loss(model, windows(), judged, apart).squared
 
     value, slope = squared(MODEL)
@@ -113,8 +109,8 @@ def test_windows_that_are_rolled_out_count_from_their_first_state_alone() -> Non
         return found.squared, found.rollout
 
     given = windows()
-    judged = eqx.filter_jit(judge_steps)(MODEL, given)
-    wrong = dataclasses.replace(given, velocity=given.velocity.at[1, 2, :, 0].add(1.0))
+    judged = eqx.filter_jit(motion_evidence)(MODEL, given)
+    wrong = given._replace(velocity=given.velocity.at[1, 2, :, 0].add(1.0))
     own = jnp.array([False, True])
     (squared, rollout), (same, off) = (terms(MODEL, each, judged, own) for each in (given, wrong))
     assert float(squared) == float(same), "the first window's steps alone"
@@ -126,13 +122,16 @@ def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
 
     @eqx.filter_jit
     def corrected(model, given):
-        return corrected_beliefs(model, given, judge_steps(model, given))
+        evidence = motion_evidence(model, given)
+        graph = encode_evidence(model, given, evidence)
+        observed = jnp.ones(evidence.types.shape[:2], bool)
+        return jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed).after
 
     found = jax.tree.map(np.asarray, corrected(MODEL, windows()))
     assert found.type_probability.shape == (2, 4, 1, 3)
     assert found.memory.age.shape == (2, 4, 1, 2)
     assert found.type_probability[0, -1, 0, 0] < 0.5 < found.type_probability[1, -1, 0, 0]
-    first = corrected(MODEL, windows().part(0, 2))
+    first = corrected(MODEL, steps_between(windows(), 0, 2))
     np.testing.assert_allclose(found.type_probability[:, :2], first.type_probability, atol=1e-6)
 
 
@@ -157,8 +156,7 @@ def test_states_that_are_not_observed_are_predicted() -> None:
     given = windows(length=6)
     gripper = jnp.array([-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     body = jnp.zeros((7, 2)).at[:, 0].set(0.135)
-    given = dataclasses.replace(
-        given,
+    given = given._replace(
         position=given.position.at[0, :, 0, 0].set(gripper).at[0, :, 1].set(body),
         velocity=given.velocity.at[0].set(0.0).at[0, :2, 0, 0].set(1.0),
     )
@@ -166,8 +164,8 @@ def test_states_that_are_not_observed_are_predicted() -> None:
 
     @eqx.filter_jit
     def found(model):
-        judged = judge_steps(model, given)
-        return judged, predict_unobserved(without_gradient(model), given, judged, observed)
+        judged = motion_evidence(model, given)
+        return judged, predict_unobserved(model, given, judged, observed)
 
     judged, (window, rolled) = found(MODEL)
     for name in ("position", "velocity"):
@@ -183,6 +181,18 @@ def test_states_that_are_not_observed_are_predicted() -> None:
     begins = np.pad(observed[0], (1, 0), constant_values=True)[:-1]
     assert (change[0, ~begins, 0, :, 1:] < -1.0).all()
     np.testing.assert_array_equal(change[0, begins], 0.0)
+
+
+def test_a_filter_is_trained_on_all_pairs(recorded: Path, monkeypatch) -> None:
+    def stop(*rest: object) -> None:
+        raise Enough
+
+    monkeypatch.setattr(ExpectationMaximisation, "advance", stop)
+    with pytest.raises(Enough):
+        fit(
+            *(initial_state(MODEL, CONFIG, 0), *split(recorded), CONFIG),
+            near_pairs=lambda *rest: pytest.fail("no list is asked for"),
+        )
 
 
 @pytest.mark.slow

@@ -51,16 +51,14 @@ from contactgraph.train import (
     load_checkpoint,
     save_checkpoint,
 )
-from contactgraph.train.advance import in_lengths, with_positive_distance
-from contactgraph.train.batch import WindowSource
-from contactgraph.train.held_out import HeldOutWindows
+from contactgraph.train.objective import TrainingData, bounded_distance
+from contactgraph.train.window_loss import WindowObjective
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "short_training.json"
 
 FIT = importlib.import_module("contactgraph.train.fit")
-ADVANCE = importlib.import_module("contactgraph.train.advance")
-LOSS = importlib.import_module("contactgraph.train.loss")
 """The module; the package has the function of the same name."""
+LOSS = importlib.import_module("contactgraph.train.window_loss")
 
 pytestmark = pytest.mark.usefixtures("trained")  # it fills the compilation cache
 
@@ -199,16 +197,17 @@ def test_training_draws_from_its_own_part_and_checks_on_the_other(
 
     def spy(trajectories: Dataset, **options: bool | None) -> object:
         padded.append(trajectories)
-        assert options == {"contacts": False, "turn_length": None, "steps": None}
+        assert options == {"contacts": False, "turn_length": None, "steps": longest}
         return pad_trajectories(trajectories, **options)
 
-    def stop(state: object, source: WindowSource, checked: HeldOutWindows, *rest: object) -> None:
-        given.extend([source, checked.windows])
+    def stop(self: object, state: object, data: TrainingData, *rest: object) -> None:
+        given.extend([data.source, data.held_out.windows])
         raise Enough
 
     monkeypatch.setattr(FIT, "pad_trajectories", spy)
-    monkeypatch.setattr(FIT, "advance_steps", stop)
+    monkeypatch.setattr(WindowObjective, "advance", stop)
     train, held_out = split(recorded)
+    longest = max(run.steps for run in (*train, *held_out))
     with contextlib.suppress(Enough):
         fit(first_state(), train, held_out, CONFIG)
     parts = [train.trajectories, held_out.trajectories]
@@ -230,10 +229,10 @@ def test_a_step_follows_the_gradient_of_the_loss_plus_the_weighted_rollout(
         return sum((jnp.sum(leaf**power) / power for leaf in leaves), jnp.zeros(()))
 
     monkeypatch.setattr(
-        LOSS, "window_loss", lambda model, *rest: LossTerms(total(model, 1), 0, 0, 0)
+        LOSS, "window_loss", lambda model, *rest: LossTerms.of(prediction=total(model, 1))
     )
-    monkeypatch.setattr(ADVANCE, "rollout_loss", lambda model, *rest: total(model, 2))
-    monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
+    monkeypatch.setattr(LOSS, "rollout_loss", lambda model, *rest: total(model, 2))
+    monkeypatch.setattr(FIT, "_rollout_rmse", lambda *rest: jnp.ones(()))
     config = TrainConfig(steps=1, check_every=1, rollout_from=0.0, bystanders=0)
     model = first_state().model
     state = fit(initial_state(model, config, 0), *split(recorded), config).state
@@ -253,10 +252,10 @@ def test_a_learned_contact_distance_stays_positive(
     """A loss that pulls it down would take it below zero within the 40 steps."""
 
     def pull(model: object, *rest: object) -> LossTerms:
-        return LossTerms(model.features.contact_distance, 0, 0, 0)
+        return LossTerms.of(prediction=model.features.contact_distance)
 
     monkeypatch.setattr(LOSS, "window_loss", pull)
-    monkeypatch.setattr(ADVANCE, "rollout_rmse", lambda *rest: jnp.ones(()))
+    monkeypatch.setattr(FIT, "_rollout_rmse", lambda *rest: jnp.ones(()))
     config = TrainConfig(
         steps=40, check_every=20, rollout_from=1.0, bystanders=0, learning_rate=0.01
     )
@@ -268,12 +267,15 @@ def test_a_learned_contact_distance_stays_positive(
 def test_a_distance_is_updated_in_units_of_its_first_guess_and_all_else_as_it_was() -> None:
     config = ModelConfig(2, 2, 0.05, 0.02, width=4, learned_contact_distance=False)
     given, model = PRESETS["ours-recurrent"](config, key=jax.random.key(0)), first_state().model
-    assert in_lengths(given) is given and with_positive_distance(given) is given
-    scaled = in_lengths(model)
-    distance, length = model.features.contact_distance, model.features.length
-    assert float(scaled.features.contact_distance) == pytest.approx(length * float(distance))
-    restored = eqx.tree_at(lambda each: each.features.contact_distance, scaled, distance)
-    assert_bit_equal(restored, model)
+    for in_lengths in (False, True):
+        rule = bounded_distance(in_lengths)
+        assert rule.update(given, rule.init(given), given)[0] is given
+        scaled, _ = rule.update(model, rule.init(model), model)
+        distance, length = model.features.contact_distance, model.features.length
+        expected = float(distance) * (length if in_lengths else 1.0)
+        assert float(scaled.features.contact_distance) == pytest.approx(expected)
+        restored = eqx.tree_at(lambda each: each.features.contact_distance, scaled, distance)
+        assert_bit_equal(restored, model)
 
 
 @pytest.mark.slow

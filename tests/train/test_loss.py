@@ -11,14 +11,21 @@ import numpy as np
 import pytest
 from training import window_of
 
+from contactgraph.data import TrajectoryBatch
 from contactgraph.model import PRESETS, LinearDynamics, ModelConfig, two_type_belief
 from contactgraph.train import LossTerms
-from contactgraph.train.batch import Window
-from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.loss import window_loss
+from contactgraph.train.held_out import rollout_rmse
+from contactgraph.train.window_loss import rollout_loss, window_loss
 
 DT = 0.05
-jitted_loss = eqx.filter_jit(window_loss)
+
+
+@eqx.filter_jit
+def jitted_loss(model, windows: TrajectoryBatch) -> LossTerms:
+    terms = window_loss(model, windows, jax.random.key(0))
+    return dataclasses.replace(terms, rollout=rollout_loss(model, windows))
+
+
 jitted_rmse = eqx.filter_jit(rollout_rmse)
 
 
@@ -73,7 +80,7 @@ class Still(eqx.Module):
         return jax.tree.map(lambda leaf: jnp.stack([leaf] * len(controls)), state)
 
 
-def by_hand(mask: list[bool] | None = None) -> Window:
+def by_hand(mask: list[bool] | None = None) -> TrajectoryBatch:
     """One step: node 0 moves by 0.1 m, node 1 gains 3 m/s; in the second window nothing does."""
     position, velocity = np.zeros((2, 2, 2, 2)), np.zeros((2, 2, 2, 2))
     position[0, 1, 0, 0] = 0.1
@@ -82,7 +89,7 @@ def by_hand(mask: list[bool] | None = None) -> Window:
 
 
 def test_the_terms_by_hand() -> None:
-    terms = jitted_loss(Still(), by_hand(), jax.random.key(0), with_rollout=True)
+    terms = jitted_loss(Still(), by_hand())
     # 0.1 m in a step of 0.05 s weighs as 2 m/s; a rollout halves it.
     assert float(terms.prediction) == pytest.approx((2 + 3 + 0 + 0) / 4, abs=2e-3)
     assert float(terms.squared) == pytest.approx((4 + 9 + 0 + 0) / 4)
@@ -101,8 +108,8 @@ def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
 
     def terms(size: int, control: jax.Array) -> list[float]:
         sized = dataclasses.replace(model, control_size=size)
-        windows = dataclasses.replace(window, control=control)
-        found = jitted_loss(sized, windows, jax.random.key(0), with_rollout=True)
+        windows = window._replace(control=control)
+        found = jitted_loss(sized, windows)
         return [float(each) for each in jax.tree.leaves(found)]
 
     still = terms(2, jnp.zeros((2, 2, 2)))
@@ -113,21 +120,18 @@ def test_a_switch_and_the_lack_of_a_control_change_no_term() -> None:
 
 
 def test_the_held_out_error_is_that_of_rollouts_over_the_counted_bodies() -> None:
-    first = HeldOutWindows(by_hand(), jnp.array([[True, False], [False, False]]), True)
-    assert float(jitted_rmse(Still(), first)) == pytest.approx(0.1)
+    model, windows = Still(), by_hand()
+    belief = two_type_belief(jnp.full((2, 1), 0.2))
+    first = jnp.array([[True, False], [False, False]])
+    assert float(jitted_rmse(model, windows, belief, first)) == pytest.approx(0.1)
     # The mean over windows of each one's root: 0.1 m of one node of two, and nothing.
-    everybody = dataclasses.replace(first, counted=jnp.ones((2, 2), bool))
-    assert float(jitted_rmse(Still(), everybody)) == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
-
-
-def test_the_rollout_term_is_zero_unless_requested() -> None:
-    terms = jitted_loss(Still(), by_hand(), jax.random.key(0), with_rollout=False)
-    assert float(terms.rollout) == 0.0
+    everybody = float(jitted_rmse(model, windows, belief, jnp.ones((2, 2), bool)))
+    assert everybody == pytest.approx((0.1 / math.sqrt(2) + 0.0) / 2)
 
 
 def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
     masked = by_hand([True, False])
-    terms = jitted_loss(Still(), masked, jax.random.key(0), with_rollout=True)
+    terms = jitted_loss(Still(), masked)
     assert float(terms.prediction) == pytest.approx((2 + 0) / 2, abs=2e-3)
     assert float(terms.squared) == pytest.approx((4 + 0) / 2)
     assert float(terms.prior) == 0.0, "no edge, and no division by none"
@@ -138,8 +142,8 @@ def test_nodes_and_edges_that_do_not_exist_do_not_count() -> None:
 def test_static_bodies_keep_their_edges_but_their_motion_does_not_count() -> None:
     pillar = jnp.array([[False, True], [False, True]])
     windows = by_hand()
-    windows = dataclasses.replace(windows, nodes=windows.nodes._replace(static=pillar))
-    terms = jitted_loss(Still(), windows, jax.random.key(0), with_rollout=True)
+    windows = windows._replace(nodes=windows.nodes._replace(static=pillar))
+    terms = jitted_loss(Still(), windows)
     assert float(terms.prediction) == pytest.approx((2 + 0) / 2, abs=2e-3)
     assert float(terms.squared) == pytest.approx((4 + 0) / 2)
     assert float(terms.rollout) == pytest.approx((1 + 0) / 2, abs=2e-3)
@@ -164,11 +168,11 @@ def test_training_tells_each_step_the_belief_before_it() -> None:
     expected = np.zeros((1, 4, 2, 2))
     expected[0, 1:] = (np.array([0.2, 0.8, 0.8])[:, None] * control[0])[:, None]
     window = window_of(np.zeros((1, 4, 2, 2)), expected, control)
-    found = jitted_loss(Pushed(), window, jax.random.key(0), with_rollout=False)
+    found = jitted_loss(Pushed(), window)
     assert float(found.squared) == pytest.approx(0.0, abs=1e-9)
 
 
-def random_windows(padding: float) -> Window:
+def random_windows(padding: float) -> TrajectoryBatch:
     """Two windows of 3 nodes, two of them on top of each other at rest, and of 2 masked ones."""
     rng = np.random.default_rng(0)
     position = 0.1 * rng.normal(size=(2, 3, 3, 2))
@@ -190,7 +194,8 @@ def test_the_gradient_is_finite_and_padding_changes_nothing() -> None:
     @eqx.filter_jit
     @partial(eqx.filter_value_and_grad, has_aux=True)
     def loss(model, windows):
-        terms = window_loss(model, windows, jax.random.key(1), True)
+        terms = window_loss(model, windows, jax.random.key(1))
+        terms = dataclasses.replace(terms, rollout=rollout_loss(model, windows))
         return terms.total(LossTerms()), terms
 
     (_, terms), gradient = loss(model, random_windows(0.0))

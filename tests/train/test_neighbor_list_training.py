@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from training import window_of
 
+from contactgraph.data import TrajectoryBatch
 from contactgraph.large_scenes import NeighborList
 from contactgraph.model import PRESETS, ContactDynamics, ModelConfig
-from contactgraph.train import LossTerms
-from contactgraph.train import loss as chunked_vmap
-from contactgraph.train.batch import Window
-from contactgraph.train.loss import window_loss
+from contactgraph.train import LossTerms, batch
+from contactgraph.train.window_loss import rollout_loss, window_loss
 
 COUNT, STEPS = 5, 3
 
 
-def windows() -> Window:
+def windows() -> TrajectoryBatch:
     """Two windows of bodies that move through each other, some in reach and some not."""
     rng = np.random.default_rng(0)
     velocity = np.repeat(rng.normal(size=(2, 1, COUNT, 2)), STEPS + 1, axis=1)
@@ -30,10 +29,11 @@ def windows() -> Window:
 @eqx.filter_jit
 @eqx.filter_value_and_grad
 def loss_and_gradient(
-    model: ContactDynamics, drawn: Window, devices: int = 1, edges: int | None = None
+    model: ContactDynamics, drawn: TrajectoryBatch, devices: int = 1, edges: int | None = None
 ) -> jax.Array:
-    """`edges`, set by a test in `contactgraph.train.loss`, makes it another program."""
-    terms = window_loss(model, drawn, jax.random.key(0), True, devices)
+    """`edges`, set by a test in `contactgraph.train.batch`, makes it another program."""
+    terms = window_loss(model, drawn, jax.random.key(0), devices)
+    terms = dataclasses.replace(terms, rollout=rollout_loss(model, drawn, devices))
     return terms.total(LossTerms())
 
 
@@ -67,7 +67,7 @@ def test_chunk_after_chunk_is_all_at_once(
     monkeypatch: pytest.MonkeyPatch, of_all_pairs: tuple
 ) -> None:
     model, drawn, (at_once, gradient) = of_all_pairs
-    monkeypatch.setattr(chunked_vmap, "_EDGES", 30)  # chunks that do not come out even
+    monkeypatch.setattr(batch, "_EDGES", 30)  # chunks that do not come out even
     for devices in (1, 2):
         value, found = loss_and_gradient(model, drawn, devices, 30)
         np.testing.assert_allclose(value, at_once, rtol=1e-5)
@@ -86,7 +86,7 @@ def test_a_chunked_function_is_the_function_of_every_item(devices: int, edges: i
         return {"sum": jnp.sum(item * other[0]), "sine": jnp.sin(item)}
 
     def total(x: jax.Array) -> jax.Array:
-        found = chunked_vmap.chunked_vmap(function, (x, (y,)), edges, devices)
+        found = batch.chunked_vmap(function, x, (y,), edges=edges, devices=devices)
         return jnp.sum(found["sum"] * jnp.arange(14.0)) + jnp.sum(found["sine"])
 
     expected = np.sum(np.sum(x * y, axis=1) * np.arange(14.0)) + np.sum(np.sin(x))

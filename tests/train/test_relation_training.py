@@ -6,16 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset
+from contactgraph.data import Dataset, pad_trajectories
 from contactgraph.data.graph import pair_indices
 from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import collect
 from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
 from contactgraph.identify import relation_facts
-from contactgraph.model import ModelConfig, scene_nodes
+from contactgraph.model import ModelConfig
+from contactgraph.model.filter import on_device
 from contactgraph.relations import relations, trajectory_belief
 from contactgraph.train import TrainConfig, fit, initial_state
-from contactgraph.train.batch import Window
 
 
 @pytest.fixture(scope="module")
@@ -47,16 +47,9 @@ def test_training_without_labels_finds_stiffness_and_springs(runs):
     found = jax.vmap(law.types[0])(jnp.array([0.5, 1.0, 1.5])) * law.share[0, 0, 0]
     np.testing.assert_allclose(found, SPRING_STIFFNESS, rtol=0.1)
     assert result.held_out_rmse_m < 0.2 * result.baselines.constant_velocity_rmse_m
-    windows = [_window(each) for each in bare[20:]]
-    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *windows)
-    whole = batch.trajectories(jnp.ones(batch.control.shape[:2], bool))
-    belief = jax.vmap(partial(trajectory_belief, result.model))(whole)
+    batch = on_device(pad_trajectories(bare[20:], contacts=False), np.dtype(np.float32))
+    belief = jax.vmap(partial(trajectory_belief, result.model))(batch)
     believed = np.asarray(belief.probability) > 0.5
     first, second = pair_indices(5).T
     joined = [each.contact[0][first, second] for each in runs[20:]]
     assert np.mean(believed == np.stack(joined)) >= 0.975
-
-
-def _window(run):
-    arrays = (jnp.asarray(each, jnp.float32) for each in (run.position, run.velocity, run.control))
-    return Window(*arrays, scene_nodes(run.scene))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.data import Dataset, read_trajectories, split_by_trajectory
+from contactgraph.data import Dataset, TrajectoryBatch, read_trajectories, split_by_trajectory
 from contactgraph.model import PRESETS, ModelConfig, Nodes
 from contactgraph.model.io import module_arrays
 from contactgraph.train import (
@@ -23,7 +23,6 @@ from contactgraph.train import (
     fit,
     initial_state,
 )
-from contactgraph.train.batch import Window
 
 CONFIG = TrainConfig(
     steps=12, batch_size=4, window_length=3, rollout_from=0.3, check_every=4, patience=12
@@ -37,7 +36,7 @@ class Enough(Exception):
     """Ends a training after a check."""
 
 
-def window_of(position, velocity, control, mask: list[bool] | None = None) -> Window:
+def window_of(position, velocity, control, mask: list[bool] | None = None) -> TrajectoryBatch:
     """Windows of states [B, T+1, N, D]: the first body is actuated, all pairs are candidates."""
     batch, _, count, _ = np.shape(position)
     nodes = Nodes(
@@ -46,7 +45,7 @@ def window_of(position, velocity, control, mask: list[bool] | None = None) -> Wi
         candidate=jnp.ones((batch, count * (count - 1) // 2), bool),
     )
     states = (jnp.asarray(each, jnp.float32) for each in (position, velocity, control))
-    return Window(*states, nodes)
+    return TrajectoryBatch(*states, None, nodes, jnp.full(batch, np.shape(control)[1]))
 
 
 def split(path: Path) -> tuple[Dataset, Dataset]:

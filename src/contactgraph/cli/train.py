@@ -119,6 +119,7 @@ class Train:
         )
         from contactgraph.identify import in_units
         from contactgraph.interchange import velocity_warning
+        from contactgraph.large_scenes import ReallocatingModel
         from contactgraph.model import PRESETS
         from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
@@ -249,7 +250,7 @@ class Train:
                 best = length * float(check.state.best_error)
                 bar.advance(check.step, held_out_text(check.held_out_rmse_m, check.baselines, best))
 
-            result = fit(state, train, held_out, config, on_check, devices)
+            result = fit(state, train, held_out, config, on_check, devices, ReallocatingModel)
         seconds, baselines = spent + result.seconds, result.baselines.in_lengths(length)
         sensor = estimate_sensor(result.model, train) if estimates else None
         if math.isfinite(result.held_out_rmse_m):

@@ -111,7 +111,7 @@ class TrajectoryBatch(NamedTuple, Generic[Array]):
     def step_mask(self) -> np.ndarray:
         """[..., T] bool: whether the step from ``t`` to ``t + 1`` is real."""
         count = np.shape(cast(Any, self.control))[-2]
-        return np.arange(count) < np.asarray(self.steps)[..., None]
+        return np.arange(count) < cast(Any, self.steps)[..., None]
 
     def at(self, index: Any) -> "TrajectoryBatch[Array]":
         """The trajectory, or trajectories, of an index into the batch axis."""

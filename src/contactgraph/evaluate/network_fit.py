@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int
 
-from contactgraph.data import Dataset, Trajectory, split_by_trajectory
+from contactgraph.data import Dataset, Trajectory, TrajectoryBatch, split_by_trajectory
 from contactgraph.data.turns import generalized_coordinates
 from contactgraph.evaluate.interaction_network import InteractionNetwork
 from contactgraph.evaluate.network_inputs import (
@@ -21,7 +21,6 @@ from contactgraph.evaluate.network_inputs import (
     network_windows,
     scene_inputs,
 )
-from contactgraph.train.batch import Window
 
 _CHUNK = 50
 """Optimiser steps a call; the time is looked at in between."""
@@ -124,7 +123,7 @@ def _advance(
     static: InteractionNetwork,
     optimiser_state: optax.OptState,
     windows: NetworkWindows,
-    checks: tuple[Window, SceneInputs],
+    checks: tuple[TrajectoryBatch[Array], SceneInputs],
     rate: Float[Array, ""],
     first: Int[Array, ""],
 ) -> tuple[InteractionNetwork, optax.OptState, Float[Array, ""]]:
@@ -145,7 +144,7 @@ def _advance(
 
 
 def _errors(
-    network: InteractionNetwork, windows: Window, scenes: SceneInputs
+    network: InteractionNetwork, windows: TrajectoryBatch[Array], scenes: SceneInputs
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The loss over rollouts, and the root mean square position error, m."""
     position, velocity = jax.vmap(network.rollout)(

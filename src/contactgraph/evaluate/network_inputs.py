@@ -11,16 +11,15 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from contactgraph.data import (
     Dataset,
     Scene,
+    TrajectoryBatch,
     candidate_pairs,
     pad_trajectories,
     pair_indices,
-    window_weights,
 )
 from contactgraph.identify import scene_facts
 from contactgraph.identify.shapes import with_turning
 from contactgraph.train import TrainConfig
 from contactgraph.train.batch import (
-    Window,
     WindowSource,
     add_distractor,
     has_resting_bodies,
@@ -109,12 +108,12 @@ class NetworkWindows(eqx.Module):
     nearest: float = eqx.field(static=True)
     """Least distance of a distractor from other bodies, m."""
 
-    def draw(self, count: int, key: PRNGKeyArray) -> tuple[Window, SceneInputs]:
+    def draw(self, count: int, key: PRNGKeyArray) -> tuple[TrajectoryBatch[Array], SceneInputs]:
         """``count`` windows with distractors, as the training of our model adds them."""
         draw_key, *place_keys = jax.random.split(key, 1 + self.distractors)
-        drawn = self.source.draw_indices(count, draw_key)
-        windows = self.source.take(drawn)
-        scenes = jax.tree.map(lambda leaf: leaf[self.source.begins(drawn)[0]], self.scenes)
+        trajectory, start = self.source.draw_starts(count, draw_key)
+        windows = self.source.take(trajectory, start)
+        scenes = jax.tree.map(lambda leaf: leaf[trajectory], self.scenes)
         for place_key in place_keys:
             windows = add_distractor(windows, self.nearest, _FARTHEST * self.nearest, place_key)
             scenes = jax.vmap(_with_distractor)(scenes, jnp.asarray(windows.nodes.mask)[:, -1])
@@ -145,7 +144,7 @@ def network_windows(dataset: Dataset, types: Sequence[str]) -> NetworkWindows:
     inputs = [scene_inputs(each.scene, each.control_size, types, capacity) for each in dataset]
     length = min(_WINDOW, int(batch.steps.max()))
     return NetworkWindows(
-        source=window_source(batch, window_weights(batch, length, TrainConfig().event_fraction)),
+        source=window_source(batch, length, TrainConfig().event_fraction),
         scenes=jax.tree.map(lambda *leaves: jnp.stack(leaves), *inputs),
         distractors=TrainConfig().bystanders if has_resting_bodies(batch) else 0,
         nearest=1.03 * scene_facts(dataset).config.contact_distance,

@@ -9,6 +9,7 @@ import dataclasses
 from functools import partial
 from typing import cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
@@ -31,8 +32,10 @@ from contactgraph.relations.inference import (
     motion_sums,
     with_evidence,
 )
-from contactgraph.train.batch import Window, WindowSource
-from contactgraph.train.loss import LossTerms, Objective, masked_mean
+from contactgraph.train.batch import WindowSource
+from contactgraph.train.held_out import HeldOutWindows, steps_between
+from contactgraph.train.objective import LossTerms
+from contactgraph.train.window_loss import WindowObjective, masked_mean
 
 _WEAK = 0.01
 """Share of a relation's greatest force, below which it is out of range."""
@@ -99,7 +102,7 @@ class RelationModel(ContactDynamics):
         return self.local_dynamics.evidence(graph, self.dt, after)
 
 
-class TrajectoryObjective(Objective):
+class TrajectoryObjective(WindowObjective):
     """Expectation maximisation along whole trajectories.
 
     The types of all edges are inferred from all steps, without labels and without a gradient. The
@@ -114,24 +117,24 @@ class TrajectoryObjective(Objective):
     def terms(
         self,
         model: RelationModel,  # type: ignore[override]
-        windows: Window,
+        windows: TrajectoryBatch[Array],
         source: WindowSource,
         key: PRNGKeyArray,
         devices: int,
     ) -> LossTerms:
         """The mean of `trajectory_loss` over as many trajectories as there are windows."""
-        every = source.draw_trajectories(len(windows.position), key)
-        along = every.states.trajectories(every.real)
-        score = jnp.mean(jax.vmap(partial(trajectory_loss, model))(along))
-        zero = jnp.zeros(())
-        return LossTerms(zero, zero, zero, zero, likelihood=score, noise=zero)
+        trajectories = source.draw_trajectories(len(windows.position), key).trajectories
+        score = jnp.mean(jax.vmap(partial(trajectory_loss, model))(trajectories))
+        return LossTerms.of(likelihood=score)
 
-    def belief(  # type: ignore[override]
-        self, model: RelationModel, before: Window
-    ) -> ContactBelief:
-        """[B, ...] by the motion of these steps."""
-        real = jnp.ones(before.control.shape[:2], bool)
-        return jax.vmap(partial(trajectory_belief, model))(before.trajectories(real))
+    @eqx.filter_jit
+    def first_beliefs(  # type: ignore[override]
+        self, model: RelationModel, held_out: HeldOutWindows, devices: int
+    ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
+        """By the motion of the steps before each window."""
+        drawn = held_out.source.take(held_out.trajectory, held_out.start)
+        before = steps_between(drawn, 0, held_out.burn)
+        return jax.vmap(partial(trajectory_belief, model))(before), held_out.windows
 
 
 def trajectory_belief(model: RelationModel, trajectory: TrajectoryBatch[Array]) -> ContactBelief:

@@ -1,7 +1,6 @@
-"""Training batches: windows drawn on the device, with distractors, split over devices."""
+"""Training batches: windows drawn on the device, with distractors; in parts, and over devices."""
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -10,55 +9,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import PROPERTIES, Nodes, TrajectoryBatch
-from contactgraph.data.windows import Windows
+from contactgraph.data.windows import window_weights
 
 Tree = TypeVar("Tree")
+_Result = TypeVar("_Result")
 
 _BATCH_MULTIPLE = 256
+_EDGES = 200
+"""Edges per chunk: with networks of width 32, 64 to 200 took the least time."""
 _PLACEMENT_TRIES = 8
 _REST = 1e-6
 """Speed, m/s, below which a body rests."""
 _WINDOW_AXIS = "windows"
 _OF_TYPE = ("type_id", "half_size", "outlines")
 """Properties that a distractor has of its type."""
-
-
-class Window(eqx.Module):
-    """``L`` steps of a trajectory, or a batch of such windows with a leading axis.
-
-    It holds no contact labels, so training cannot read them.
-    """
-
-    position: Float[Array, "*B L+1 N D"]
-    """m"""
-    velocity: Float[Array, "*B L+1 N D"]
-    """m/s"""
-    control: Float[Array, "*B L U"]
-    """N"""
-    nodes: Nodes
-
-    @property
-    def learned(self) -> Bool[Array, "*B N"]:
-        """The bodies whose motion is learned: those that exist and are not static."""
-        return jnp.asarray(self.nodes.mobile)
-
-    def trajectories(self, real: Bool[Array, "B L"]) -> TrajectoryBatch[Array]:
-        """A batch of windows as trajectories, whose first steps are ``real``."""
-        steps = jnp.sum(real, axis=-1)
-        return TrajectoryBatch(self.position, self.velocity, self.control, None, self.nodes, steps)
-
-    def part(self, begin: int, end: int) -> "Window":
-        """The steps ``begin`` to ``end`` of a batch of windows."""
-        return dataclasses.replace(
-            self,
-            position=self.position[:, begin : end + 1],
-            velocity=self.velocity[:, begin : end + 1],
-            control=self.control[:, begin:end],
-        )
 
 
 class WindowSource(eqx.Module):
@@ -71,82 +39,51 @@ class WindowSource(eqx.Module):
     """Sum of all probabilities up to each window's, trajectory after trajectory."""
     length: int = eqx.field(static=True)
     """L, steps in a window."""
-    reports_touch: bool = eqx.field(static=True, default=True)
-    """Whether contacts, where training uses them, are those of bodies that touch; else that hold
-    each other."""
 
-    def draw(self, count: int, key: PRNGKeyArray) -> Window:
+    def draw(self, count: int, key: PRNGKeyArray) -> TrajectoryBatch[Array]:
         """`count` windows drawn with the windows' probabilities."""
-        return self.take(self.draw_indices(count, key))
+        return self.take(*self.draw_starts(count, key))
 
-    def draw_indices(self, count: int, key: PRNGKeyArray) -> Int[Array, " B"]:
-        """Which windows `draw` takes with this key."""
-        return draw_by(self.cumulative, count, key)
+    def draw_starts(
+        self, count: int, key: PRNGKeyArray
+    ) -> tuple[Int[Array, " B"], Int[Array, " B"]]:
+        """The trajectory, and the first state, of each window that `draw` takes with this key."""
+        uniform = jax.random.uniform(key, (count,))
+        drawn = jnp.searchsorted(self.cumulative, uniform * self.cumulative[-1], side="right")
+        return jnp.divmod(jnp.minimum(drawn, self.cumulative.shape[0] - 1), self.weight.shape[1])
 
-    def draw_trajectories(self, count: int, key: PRNGKeyArray) -> "WholeTrajectories":
-        """`count` whole trajectories, all equally likely."""
-        index = jax.random.randint(key, (count,), 0, self.trajectories.steps.shape[0])
-        return self.whole(index)
-
-    def whole(self, index: Int[Array, " B"]) -> "WholeTrajectories":
-        """These trajectories."""
-        every = self.trajectories
-        window = Window(
-            position=every.position[index],
-            velocity=every.velocity[index],
-            control=every.control[index],
-            nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
-        )
-        contact = None if every.contact is None else every.contact[index]
-        real = jnp.arange(every.control.shape[1]) < every.steps[index, None]
-        return WholeTrajectories(window, real, self.weight[index], contact)
-
-    def begins(self, window: Int[Array, " B"]) -> tuple[Int[Array, " B"], Int[Array, " B"]]:
-        """The trajectory, and the first state, of the windows of these indices."""
-        return jnp.divmod(window, self.weight.shape[1])
-
-    def take(self, window: Int[Array, " B"]) -> Window:
-        """The windows of these indices."""
-        index, start = self.begins(window)
+    def take(self, trajectory: Int[Array, " B"], start: Int[Array, " B"]) -> TrajectoryBatch[Array]:
+        """These windows, without contact labels, so that training cannot read them."""
         states = start[:, None] + jnp.arange(self.length + 1)
-        every = self.trajectories
-        return Window(
-            position=every.position[index[:, None], states],
-            velocity=every.velocity[index[:, None], states],
-            control=every.control[index[:, None], states[:, :-1]],
-            nodes=jax.tree.map(lambda leaf: leaf[index], every.nodes),
+        rows, every = trajectory[:, None], self.trajectories
+        return TrajectoryBatch(
+            position=every.position[rows, states],
+            velocity=every.velocity[rows, states],
+            control=every.control[rows, states[:, :-1]],
+            contact=None,
+            nodes=jax.tree.map(lambda leaf: leaf[trajectory], every.nodes),
+            steps=jnp.full_like(start, self.length),
         )
 
+    def some(self, index: Int[Array, " B"]) -> "WindowSource":
+        """The windows of these trajectories alone."""
+        every, weight = jax.tree.map(lambda leaf: leaf[index], (self.trajectories, self.weight))
+        return WindowSource(every, weight, jnp.cumsum(weight.ravel()), self.length)
 
-def draw_by(cumulative: Float[Array, " W"], count: int, key: PRNGKeyArray) -> Int[Array, " B"]:
-    """Indices drawn with probabilities that add up to these sums."""
-    uniform = jax.random.uniform(key, (count,))
-    drawn = jnp.searchsorted(cumulative, uniform * cumulative[-1], side="right")
-    return jnp.minimum(drawn, cumulative.shape[0] - 1)
-
-
-class WholeTrajectories(eqx.Module):
-    """Some trajectories from their first to their last state, on the device."""
-
-    states: Window
-    real: Bool[Array, "B T"]
-    """Whether a step is one, and no padding."""
-    weight: Float[Array, "B T"]
-    """`WindowSource.weight`"""
-    contact: Float[Array, "B T+1 E"] | None
-    """Recorded contacts where training uses them."""
+    def draw_trajectories(self, count: int, key: PRNGKeyArray) -> "WindowSource":
+        """The windows of `count` trajectories, all equally likely."""
+        return self.some(jax.random.randint(key, (count,), 0, self.weight.shape[0]))
 
 
 def window_source(
-    batch: TrajectoryBatch[np.ndarray],
-    windows: Windows,
-    contacts: bool = False,
+    batch: TrajectoryBatch[np.ndarray], length: int, event_fraction: float
 ) -> WindowSource:
-    """Put trajectories and windows on the device, without contact labels unless ``contacts``.
+    """Put trajectories on the device, and find their windows: see `window_weights`.
 
     The batch is padded to a multiple of `_BATCH_MULTIPLE` trajectories, so that another number of
     trajectories recompiles nothing. Padding repeats real entries and has no probability.
     """
+    windows = window_weights(batch, length, event_fraction)
     count, steps = batch.control.shape[:2]
     capacity = count + -count % _BATCH_MULTIPLE
 
@@ -158,40 +95,96 @@ def window_source(
     weight[windows.trajectory, windows.start] = windows.probability
     cumulative = weight.ravel().cumsum() / windows.probability.sum()
     return WindowSource(
-        trajectories=jax.tree.map(repeated, batch if contacts else batch._replace(contact=None)),
+        trajectories=jax.tree.map(repeated, batch),
         weight=jnp.asarray(weight, jnp.float32),
         cumulative=jnp.asarray(cumulative, jnp.float32),
-        length=windows.length,
+        length=length,
     )
 
 
 @dataclass(frozen=True)
 class BatchSplit:
-    """Data parallelism over a row of devices; XLA sums the gradient over them."""
+    """Data parallelism over devices, which takes nothing apart for fewer than two.
 
-    mesh: Mesh
+    XLA sums the gradient over them.
+    """
+
+    devices: tuple[jax.Device, ...] = ()
+
+    @property
+    def parts(self) -> int:
+        """Number of equal parts of a batch."""
+        return max(1, len(self.devices))
 
     def shard(self, batch: Tree) -> Tree:
         """Split every array's leading axis, the windows, over the devices."""
-        return eqx.filter_shard(batch, NamedSharding(self.mesh, PartitionSpec(_WINDOW_AXIS)))
+        return self._placed(batch, PartitionSpec(_WINDOW_AXIS))
 
     def replicate(self, tree: Tree) -> Tree:
         """Copy every array to all devices."""
-        return eqx.filter_shard(tree, NamedSharding(self.mesh, PartitionSpec()))
+        return self._placed(tree, PartitionSpec())
+
+    def _placed(self, tree: Tree, spec: PartitionSpec) -> Tree:
+        if self.parts == 1:
+            return tree
+        mesh = Mesh(np.asarray(self.devices), (_WINDOW_AXIS,))
+        return eqx.filter_shard(tree, NamedSharding(mesh, spec))
 
 
-def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit | None:
-    """The split of a batch over the devices; None for fewer than two.
+def batch_split(devices: Sequence[jax.Device], batch_size: int) -> BatchSplit:
+    """The split of a batch over the devices.
 
     Raises `InvalidInputError` where the windows of a batch cannot be divided evenly.
     """
-    if len(devices) < 2:
-        return None
-    if batch_size % len(devices):
+    split = BatchSplit(tuple(devices))
+    if batch_size % split.parts:
         raise InvalidInputError(
             f"a batch of {batch_size} windows cannot be split evenly over {len(devices)} devices"
         )
-    return BatchSplit(Mesh(np.asarray(devices), (_WINDOW_AXIS,)))
+    return split
+
+
+def chunked_vmap(
+    function: Callable[..., _Result], *arguments: PyTree, edges: int, devices: int = 1
+) -> _Result:
+    """The function of every item, stacked; every leaf of the arguments has the items as first axis.
+
+    Where all items, with so many `edges` each, exceed the cache, the chunks run one after another,
+    and gradients recompute each chunk instead of storing its temporaries. Each of several `devices`
+    computes an equal part of the items, in their order.
+    """
+    count = jax.tree.leaves(arguments)[0].shape[0] // devices
+    rounds = -(-count * edges // _EDGES)
+    if rounds <= 1 or count == 1:
+        return jax.vmap(function)(*arguments)
+    chunk = -(-count // min(rounds, count))
+    rounds = -(-count // chunk)
+    # The last chunk is filled up with its last item.
+    filled = np.minimum(np.arange(rounds * chunk), count - 1)
+
+    def split(leaf: Array) -> Array:
+        leaf = leaf.reshape(devices, count, *leaf.shape[1:])
+        leaf = leaf if len(filled) == count else leaf[:, filled]
+        leaf = leaf.reshape(devices, rounds, chunk, *leaf.shape[2:]).swapaxes(0, 1)
+        return leaf.reshape(rounds, devices * chunk, *leaf.shape[3:])
+
+    def joined(leaf: Array) -> Array:
+        leaf = leaf.reshape(rounds, devices, chunk, *leaf.shape[2:]).swapaxes(0, 1)
+        leaf = leaf.reshape(devices, rounds * chunk, *leaf.shape[3:])[:, :count]
+        return leaf.reshape(devices * count, *leaf.shape[2:])
+
+    each = jax.checkpoint(lambda chunk: jax.vmap(function)(*chunk))
+    return jax.tree.map(joined, jax.lax.map(each, jax.tree.map(split, arguments)))
+
+
+def map_steps(
+    function: Callable[..., _Result], *arguments: PyTree, edges: int, devices: int = 1
+) -> _Result:
+    """`chunked_vmap` over all steps of all windows: arguments and results are [B, L, ...]."""
+    batch, length = jax.tree.leaves(arguments)[0].shape[:2]
+    flat = jax.tree.map(lambda leaf: leaf.reshape(batch * length, *leaf.shape[2:]), arguments)
+    results = chunked_vmap(function, *flat, edges=edges, devices=devices)
+    return jax.tree.map(lambda leaf: leaf.reshape(batch, length, *leaf.shape[1:]), results)
 
 
 def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
@@ -208,11 +201,11 @@ def has_resting_bodies(batch: TrajectoryBatch[np.ndarray]) -> bool:
 
 
 def add_distractor(
-    windows: Window,
+    windows: TrajectoryBatch[Array],
     nearest: Float[Array, ""] | float,
     farthest: Float[Array, ""] | float,
     key: PRNGKeyArray,
-) -> Window:
+) -> TrajectoryBatch[Array]:
     """Add a resting node without actuation to every window of a batch, out of contact.
 
     Trajectories of two bodies show no third body at rest. The model assumes anyway that a body out
@@ -222,7 +215,7 @@ def add_distractor(
     from every body, also between two states. The node is masked out where several tries find no
     such position.
     """
-    batch, states, count, dimension = windows.position.shape
+    batch, states, _, dimension = windows.position.shape
     keys = jax.random.split(key, batch)
     place = windows.position
     if windows.nodes.outlines is not None:
@@ -230,25 +223,23 @@ def add_distractor(
         place = place[..., : windows.nodes.outlines.shape[-1]]
         wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1))
         nearest, farthest = nearest + wide, farthest + wide
-    drawn, clear = jax.vmap(
-        lambda position, mask, key: _distractor_position(position, mask, nearest, farthest, key)
-    )(place, windows.nodes.mask, keys)
+    drawn, clear = jax.vmap(_distractor_position, (0, 0, 0, None, None))(
+        place, windows.nodes.mask, keys, nearest, farthest
+    )
     drawn = jnp.pad(drawn, ((0, 0), (0, dimension - drawn.shape[1])))
     position = jnp.broadcast_to(drawn[:, None, None, :], (batch, states, 1, dimension))
-    edges = jnp.ones((batch, count), bool)
-    return dataclasses.replace(
-        windows,
+    return windows._replace(
         position=jnp.concatenate([windows.position, position], axis=2),
         velocity=jnp.concatenate([windows.velocity, jnp.zeros_like(position)], axis=2),
-        nodes=_with_distractor(windows.nodes, clear, edges),
+        nodes=_with_distractor(windows.nodes, clear),
     )
 
 
-def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array, "B N"]) -> Nodes:
+def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"]) -> Nodes:
     """One more node, of the type of the first that is neither actuated nor static."""
     first = jnp.argmax(nodes.passive, axis=1)[:, None]
     # `pair_indices` lists the pairs of a new last node after all others.
-    last: dict[str, Array] = {"mask": exists[:, None], "candidate": edges}
+    last: dict[str, Array] = {"mask": exists[:, None], "candidate": jnp.ones_like(nodes.mask)}
     for name, field in PROPERTIES.items():
         values = getattr(nodes, name)
         if values is not None and field.axis[0] == "N":
@@ -256,18 +247,17 @@ def _with_distractor(nodes: Nodes, exists: Bool[Array, " B"], edges: Bool[Array,
             if name in _OF_TYPE:
                 of_first = first.reshape(-1, *(1,) * (values.ndim - 1))
                 last[name] = jnp.take_along_axis(values, of_first, axis=1)
-    return nodes._replace(
-        **{name: jnp.concatenate([getattr(nodes, name), each], 1) for name, each in last.items()}
-    )
+    joined = {name: jnp.concatenate([getattr(nodes, name), last[name]], 1) for name in last}
+    return nodes._replace(**joined)
 
 
 def _distractor_position(
     position: Float[Array, "L N D"],
-    mask: Array,
+    mask: Bool[Array, " N"],
+    key: PRNGKeyArray,
     nearest: Float[Array, ""] | float,
     farthest: Float[Array, ""] | float,
-    key: PRNGKeyArray,
-) -> tuple[Float[Array, " D"], Array]:
+) -> tuple[Float[Array, " D"], Bool[Array, ""]]:
     """A position for one distractor [m], and whether it keeps its distance."""
     node_key, step_key, direction_key, radius_key = jax.random.split(key, 4)
     tries = _PLACEMENT_TRIES

@@ -1,13 +1,17 @@
 """Expectation maximisation: the motion is judged, then dynamics and filter learn from that.
 
-The E-step draws whole trajectories and judges what their motion says of every edge. In the M-step
-the dynamics learn from windows of them with the likeliest types, and in the second half of training
-the filter learns from the likelihoods: what untrained dynamics call evidence teaches that nothing
-ever holds. Each part is a program of its own, since programs compile in more than proportion to
-their size, and the held-out trajectories are judged by the program of the others.
+The E-step draws whole trajectories and judges what their motion says of every edge: see
+`MotionEvidence`. In the M-step the dynamics learn from windows of them with the likeliest types of
+the very step, so they do not pay for contacts that nothing could predict. In the second half of
+training the filter learns, too: what untrained dynamics call evidence teaches that nothing ever
+holds.
+
+Each part is a program of its own, since programs compile in more than proportion to their size, and
+the held-out trajectories are judged by the program of the others.
 """
 
-import dataclasses
+from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -16,191 +20,234 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
-from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.train.advance import in_lengths, optimiser_of, scored, with_positive_distance
-from contactgraph.train.batch import BatchSplit, Window, WindowSource
-from contactgraph.train.config import TrainConfig
-from contactgraph.train.filter_loss import DENIAL, dynamics_loss, filter_loss
-from contactgraph.train.fit_state import FitState
-from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
-from contactgraph.train.judged_steps import (
-    JudgedSteps,
-    JudgedTrajectories,
-    judge_steps,
-    observed_at_times,
-    with_window_masses,
+from contactgraph.bodies.graph import EdgeList
+from contactgraph.data.dataset import Dataset
+from contactgraph.data.graph import pair_indices
+from contactgraph.data.trajectory_batch import TrajectoryBatch
+from contactgraph.inference.contact_belief import (
+    ContactBelief,
 )
-from contactgraph.train.loss import LossTerms
+from contactgraph.inference.motion_noise import Motion
+from contactgraph.model.body_mass import mass_score
+from contactgraph.model.contact_dynamics import ContactDynamics
+from contactgraph.train.batch import WindowSource
+from contactgraph.train.filter_loss import PERIOD, filter_optimiser, learn_filter
+from contactgraph.train.held_out import HeldOutWindows
+from contactgraph.train.motion_evidence import (
+    MotionEvidence,
+    encode_evidence,
+    filter_steps,
+    motion_evidence,
+)
+from contactgraph.train.objective import (
+    FitState,
+    LossTerms,
+    Objective,
+    TrainConfig,
+    TrainingData,
+    bounded_distance,
+    descend,
+    optimiser_of,
+)
+from contactgraph.train.window_loss import masked_mean, rollout_error
 
-_PERIOD, _FILTER_STEPS = 25, 100
-"""Steps of the dynamics on the same judged trajectories, and those of the filter that follow: it
-learns from rare events, so it needs more steps, and each costs little."""
+_SMALLEST = 1e-6
 _JUDGED, _MOST, _LEAST = 6400, 32, 8
 """About as many steps are judged at once, of so many trajectories."""
+_judge = eqx.filter_jit(motion_evidence)
 
 
-def judged_count(steps: int, devices: int) -> int:
+class ExpectationMaximisation(Objective):
+    """`dynamics_loss`, and `filter_loss` in the second half of training."""
+
+    near_pairs = False  # the types of all pairs are judged
+    burn = 20
+    # Where geometry tells the contact, rollouts do not tell a filter that has hardly learned.
+    compared_from = 0.75
+
+    def optimiser(self, config: TrainConfig) -> optax.GradientTransformation:
+        """Of the dynamics."""
+        return optimiser_of(config, bounded_distance(in_lengths=True))
+
+    def optimiser_state(self, model: ContactDynamics, config: TrainConfig) -> PyTree:
+        """Of the dynamics' optimiser, and of the filter's."""
+        inference = eqx.filter(model.inference, eqx.is_inexact_array)
+        return super().optimiser_state(model, config), filter_optimiser(config).init(inference)
+
+    def checked(self, held_out: Dataset, steps: int, devices: int) -> Dataset:
+        """As many as are judged at once."""
+        return replace(held_out, trajectories=held_out.trajectories[: _count(steps, devices)])
+
+    def advance(
+        self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
+    ) -> tuple[FitState, dict[str, Array]]:
+        """See `Objective.advance`."""
+        steps, split = data.source.weight.shape[1], data.split
+        length = PERIOD if count % PERIOD == 0 else count
+        periods, joined = [], state.step >= data.config.first_rollout
+        for _ in range(count // length):
+            state, drawn, (key, filter_key) = _draw(state, data.source, _count(steps, split.parts))
+            evidence = _judge(state.model, split.shard(drawn.trajectories), split.parts)
+            state, terms = self._learn_dynamics(state, data, drawn, evidence, key, length, joined)
+            if 2 * int(state.step) > data.config.steps:
+                state, score = learn_filter(state, data, drawn.trajectories, evidence, filter_key)
+                terms = replace(terms, likelihood=score)
+            periods.append(terms)
+        means = jax.tree.map(lambda *each: jnp.mean(jnp.stack(each)), *periods)
+        return state, vars(means)
+
+    @eqx.filter_jit
+    def _learn_dynamics(
+        self,
+        state: FitState,
+        data: TrainingData,
+        drawn: WindowSource,
+        evidence: MotionEvidence,
+        key: PRNGKeyArray,
+        count: int,
+        joined: Bool[Array, ""],
+    ) -> tuple[FitState, LossTerms]:
+        """``count`` steps on windows of judged trajectories; the filter does not learn."""
+        config = data.config
+        params, static = eqx.partition(state.model, eqx.is_inexact_array)
+        # A half of the windows is predicted from their first states, as soon as that counts.
+        rolled_out = (jnp.arange(config.batch_size) % 2 == 1) & joined
+
+        def loss(
+            params: PyTree, windows: TrajectoryBatch[Array], evidence: MotionEvidence
+        ) -> tuple[Array, LossTerms]:
+            terms = dynamics_loss(eqx.combine(params, static), windows, evidence, rolled_out)
+            return terms.total(config.weights), terms
+
+        def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, LossTerms]:
+            trajectory, start = drawn.draw_starts(config.batch_size, key)
+            steps = trajectory[:, None], start[:, None] + jnp.arange(drawn.length)
+            told = jax.tree.map(lambda leaf: leaf[steps], evidence)
+            windows, told = data.split.shard((drawn.take(trajectory, start), told))
+            windows = told.weighed(windows)
+            (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, told)
+            return gradient, terms
+
+        of_dynamics, of_filter = state.optimiser
+        keys, optimiser = jax.random.split(key, count), self.optimiser(config)
+        params, of_dynamics, terms = descend(slope, optimiser, params, of_dynamics, keys)
+        learned = replace(
+            state,
+            model=eqx.combine(params, static),
+            optimiser=(of_dynamics, of_filter),
+            step=state.step + count,
+        )
+        return learned, terms
+
+    def first_beliefs(
+        self, model: ContactDynamics, held_out: HeldOutWindows, devices: int
+    ) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
+        """By the motion of all steps before the windows; of the masses, by that of all steps."""
+        count = _count(held_out.source.weight.shape[1], devices)
+        every = jax.tree.map(lambda leaf: leaf[:count], held_out.source.trajectories)
+        evidence = _judge(model, every, devices)
+        return _first_beliefs(model, held_out, every, evidence)
+
+
+def _count(steps: int, devices: int) -> int:
     """How many trajectories of so many steps are judged at once, a multiple of ``devices``."""
     count = max(_LEAST, min(_MOST, _JUDGED // steps))
     return count + -count % devices
 
 
-def first_filter_optimiser_state(model: ContactDynamics, config: TrainConfig) -> PyTree:
-    """Of Adam for the filter."""
-    return _filter_optimiser(config).init(eqx.filter(model.inference, eqx.is_inexact_array))
-
-
-def _filter_optimiser(config: TrainConfig) -> optax.GradientTransformation:
-    return optimiser_of(config, max(1, config.steps // (2 * _PERIOD)) * _FILTER_STEPS)
-
-
-def advance_filter(
-    state: FitState,
-    source: WindowSource,
-    checked: HeldOutWindows,
-    config: TrainConfig,
-    count: int,
-    with_rollout: Bool[np.ndarray, ""] | None,
-    split: BatchSplit | None,
-) -> tuple[FitState, dict[str, Array]]:
-    """``count`` optimiser steps of the dynamics and those of the filter, then the held-out error.
-
-    ``with_rollout``: see `advance_steps`.
-    """
-    length = _PERIOD if count % _PERIOD == 0 else count
-    devices = 1 if split is None else split.mesh.size
-    drawn = judged_count(source.weight.shape[1], devices)
-    periods = []
-    for _ in range(count // length):
-        state, every, keys = _draw(state, source, drawn)
-        states = every.states if split is None else split.shard(every.states)
-        given = JudgedTrajectories(every, _judge(state.model, states, devices))
-        learns = state, given, keys[0], config, length, source.length, with_rollout, split
-        state, terms = _learn_dynamics(*learns)
-        if 2 * int(state.step) > config.steps:
-            touch = source.reports_touch
-            state, score = _learn_filter(state, given, keys[1], config, touch)
-            terms = dataclasses.replace(terms, likelihood=score)
-        periods.append(terms)
-    assert checked.every is not None
-    judged = _judge(state.model, checked.every, devices)
-    means = jax.tree.map(lambda *each: jnp.mean(jnp.stack(each)), *periods)
-    settled = 4 * state.step > 3 * config.steps
-    first = settled & (4 * (state.step - count) <= 3 * config.steps)
-    counts = settled if with_rollout is None else settled & jnp.asarray(with_rollout)
-    state, error = _score(state, checked, judged, first, counts)
-    if split is not None:  # the sharding of the argument, else the next call would recompile
-        state = split.replicate(state)
-    return state, {**vars(means), "held_out": error}
-
-
 @eqx.filter_jit
 def _draw(state: FitState, source: WindowSource, count: int) -> tuple:
-    """The state with its next key, whole trajectories, and two keys."""
+    """The state with its next key, windows of whole trajectories, and two keys."""
     key, draw_key, *keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
-    state = dataclasses.replace(state, key=jax.random.key_data(key))
+    state = replace(state, key=jax.random.key_data(key))
     return state, source.draw_trajectories(count, draw_key), keys
 
 
-_judge = eqx.filter_jit(judge_steps)
+def dynamics_loss(
+    model: ContactDynamics,
+    windows: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
+    rolled_out: Bool[Array, " B"],
+) -> LossTerms:
+    """Terms over a batch of windows, given the likeliest types; the filter does not learn.
 
-
-@eqx.filter_jit
-def _learn_dynamics(
-    state: FitState,
-    given: JudgedTrajectories,
-    key: PRNGKeyArray,
-    config: TrainConfig,
-    count: int,
-    length: int,
-    with_rollout: Bool[np.ndarray, ""] | None,
-    split: BatchSplit | None,
-) -> tuple[FitState, LossTerms]:
-    """``count`` steps on windows of ``length`` steps; the filter does not learn."""
-    optimiser = optimiser_of(config)
-    params, static = eqx.partition(state.model, eqx.is_inexact_array)
-    # A half of the windows is predicted from their first states, as soon as that counts.
-    rolled_out = jnp.arange(config.batch_size) % 2 == 1
-    rolled_out &= False if with_rollout is None else jnp.asarray(with_rollout)
-
-    def loss(params: PyTree, windows: Window, judged: JudgedSteps) -> tuple[Array, LossTerms]:
-        terms = dynamics_loss(eqx.combine(params, static), windows, judged, rolled_out)
-        return terms.total(config.weights), terms
-
-    Carry = tuple[PyTree, optax.OptState]
-
-    def step(carry: Carry, key: PRNGKeyArray) -> tuple[Carry, LossTerms]:
-        params, optimiser_state = carry
-        drawn = given.windows(config.batch_size, length, key)
-        windows, judged = drawn if split is None else split.shard(drawn)
-        windows = with_window_masses(windows, judged.masses)
-        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, judged)
-        updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
-        params = with_positive_distance(optax.apply_updates(params, in_lengths(updates)))
-        return (params, optimiser_state), terms
-
-    of_dynamics, of_filter = state.optimiser
-    keys = jax.random.split(key, count)
-    (params, of_dynamics), terms = jax.lax.scan(step, (params, of_dynamics), keys)
-    learned = dataclasses.replace(
-        state,
-        model=eqx.combine(params, static),
-        optimiser=(of_dynamics, of_filter),
-        step=state.step + count,
-    )
-    return learned, jax.tree.map(jnp.mean, terms)
-
-
-@eqx.filter_jit
-def _learn_filter(
-    state: FitState,
-    given: JudgedTrajectories,
-    key: PRNGKeyArray,
-    config: TrainConfig,
-    reports_touch: bool,
-) -> tuple[FitState, Float[Array, ""]]:
-    """Steps of the filter alone, and their mean score."""
-    optimiser, (hide_key, key) = _filter_optimiser(config), jax.random.split(key)
-    model, (of_dynamics, of_filter) = state.model, state.optimiser
-    pool = observed_at_times(model, given, hide_key)
-    params, static = eqx.partition(model.inference, eqx.is_inexact_array)
-
-    def loss(params: PyTree, key: PRNGKeyArray) -> Float[Array, ""]:
-        learned = dataclasses.replace(model, inference=eqx.combine(params, static))
-        draw_key, key = jax.random.split(key)
-        drawn = pool.draw(draw_key)
-        every = drawn.given.every
-        steps = every.states, drawn.given.judged, every.real, drawn.observed
-        reported = every.contact, reports_touch, DENIAL
-        return config.weights.likelihood * filter_loss(learned, *steps, key, *reported)
-
-    Carry = tuple[PyTree, optax.OptState]
-
-    def step(carry: Carry, key: PRNGKeyArray) -> tuple[Carry, Array]:
-        params, optimiser_state = carry
-        score, gradient = jax.value_and_grad(loss)(params, key)
-        updates, optimiser_state = optimiser.update(gradient, optimiser_state, params)
-        return (optax.apply_updates(params, updates), optimiser_state), score
-
-    keys = jax.random.split(key, _FILTER_STEPS)
-    (params, of_filter), score = jax.lax.scan(step, (params, of_filter), keys)
-    learned = dataclasses.replace(model, inference=eqx.combine(params, static))
-    state = dataclasses.replace(state, model=learned, optimiser=(of_dynamics, of_filter))
-    return state, jnp.mean(score)
-
-
-@eqx.filter_jit
-def _score(
-    state: FitState,
-    checked: HeldOutWindows,
-    judged: JudgedSteps,
-    first: Bool[Array, ""],
-    counts: Bool[Array, ""],
-) -> tuple[FitState, Float[Array, ""]]:
-    """The state with the better model, and the held-out error: see `scored`.
-
-    Where geometry tells the contact, rollouts do not tell a filter that has hardly learned; so the
-    ``first`` model of the last quarter of the steps is better than all before.
+    Windows that are ``rolled_out`` are predicted from their first states, of the others each step
+    from the recorded one.
     """
-    error = rollout_rmse(state.model, checked, judged)
-    return scored(state, error, first | (error < state.best_error), counts), error
+    position, velocity, in_reach = jax.vmap(partial(steps_of_types, model))(
+        windows, evidence.types, evidence.before, rolled_out
+    )
+    after = windows.position[:, 1:], windows.velocity[:, 1:]
+    error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
+    error += jnp.sum((velocity - after[1]) ** 2, axis=-1)
+    mobile = jnp.broadcast_to(windows.nodes.mobile[:, None], error.shape)
+    single = mobile & ~rolled_out[:, None, None]
+    assert model.prediction_noise is not None
+    count = position.shape[2]
+    incidence = np.any(pair_indices(count)[..., None] == np.arange(count), axis=1)
+    score = model.prediction_noise.score(
+        windows.velocity[:, :-1],
+        jax.lax.stop_gradient((position, velocity)),
+        evidence.without_edges,
+        after,
+        jnp.einsum("en,blea->blna", incidence.astype(position.dtype), evidence.types[..., 1:]),
+        model.dt,
+    )
+    near = jnp.any(in_reach[..., None] & incidence, axis=2)
+    noise = masked_mean(score, single & near)
+    if evidence.masses is not None:
+        masses = jax.tree.map(lambda leaf: leaf[:, 0], evidence.masses)
+        of_masses = jax.vmap(partial(mass_score, model))(masses, windows.nodes)
+        noise += masked_mean(of_masses, windows.nodes.passive)
+    rollout = jax.vmap(partial(rollout_error, model))((position, velocity), windows)
+    return LossTerms.of(
+        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), single),
+        squared=masked_mean(error, single),
+        rollout=masked_mean(rollout, mobile & rolled_out[:, None, None]),
+        noise=noise,
+    )
+
+
+def steps_of_types(
+    model: ContactDynamics,
+    window: TrajectoryBatch[Array],
+    types: Float[Array, "L E K"],
+    before: Float[Array, "L E K"],
+    rolled_out: Bool[Array, ""],
+) -> tuple[Float[Array, "L N G"], Float[Array, "L N G"], Bool[Array, "L E"]]:
+    """The states, m and m/s, that the steps of a window lead to with these one-hot types in every
+    step and ``before`` it, and the edges within the cutoff.
+
+    Each step begins in the recorded state, or, where ``rolled_out``, where the last one led to.
+    """
+
+    def step(state: Motion, inputs: tuple) -> tuple[Motion, tuple[Array, Array, Array]]:
+        recorded, control, types, before = inputs
+        position, velocity = jax.tree.map(
+            lambda own, seen: jnp.where(rolled_out, own, seen), state, recorded
+        )
+        graph = model.encode(position, velocity, control, window.nodes, ContactBelief(before))
+        linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
+        after = linear(position, velocity, control)
+        return after, (*after, graph.weight > 0)
+
+    recorded = window.position[:-1], window.velocity[:-1]
+    first = window.position[0], window.velocity[0]
+    return jax.lax.scan(step, first, (recorded, window.control, types, before))[1]
+
+
+@eqx.filter_jit
+def _first_beliefs(
+    model: ContactDynamics,
+    held_out: HeldOutWindows,
+    trajectories: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
+) -> tuple[ContactBelief, TrajectoryBatch[Array]]:
+    """`ExpectationMaximisation.first_beliefs` by the evidence of whole trajectories."""
+    last = held_out.trajectory, held_out.start + held_out.burn - 1
+    graph = encode_evidence(model, trajectories, evidence)
+    observed = jnp.ones(evidence.types.shape[:2], bool)
+    along = jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed)
+    belief = jax.tree.map(lambda leaf: leaf[last], along.after)
+    told = jax.tree.map(lambda leaf: leaf[last][:, None], evidence)
+    return belief, told.weighed(held_out.windows)

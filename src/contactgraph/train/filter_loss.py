@@ -1,187 +1,214 @@
-"""Losses of expectation maximisation: a filter by the likelihood of motion, dynamics by types.
+"""Learning of the filter from the motion of judged trajectories: the second M-step.
 
-The observed motion of a step says of every edge how likely it is with each pair of types, at the
-start and in the end of the step: log ratios l, of which no gradient is taken. The filter is scored
-along trajectories by -log(sum over pairs of p exp(l)), with p its belief before that step: the
-negative log-likelihood of a hidden Markov model, which needs no labels and is proper, hence
-calibrates p. The dynamics learn on short windows with the types that l of the very step makes
-probable, so they do not pay for contacts that nothing could predict.
+It is scored along trajectories by -log(sum over pairs of types of p exp(l)), with p its belief
+before a step and l the log ratios of the motion in it: the negative log-likelihood of a hidden
+Markov model, which needs no labels and is proper, hence calibrates p.
 """
 
-import dataclasses
+from dataclasses import replace
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+import optax
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.data.dataset import Dataset
-from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.graph import pair_indices
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.inference.contact_belief import (
     ContactBelief,
     ContactSensor,
-    correct,
+    late_rate,
     posterior_by_motion,
 )
 from contactgraph.inference.features import stillness
-from contactgraph.inference.motion_noise import Motion
-from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.train.batch import Window
-from contactgraph.train.judged_steps import (
-    JudgedSteps,
-    SensorReports,
-    random_reports,
-    random_segments,
-    seen_or_not,
-    with_window_masses,
+from contactgraph.model.step import ModelState
+from contactgraph.train.motion_evidence import (
+    MotionEvidence,
+    encode_evidence,
+    filter_steps,
+    where_observed,
     without_gradient,
 )
-from contactgraph.train.loss import (
-    LossTerms,
-    WindowSteps,
-    masked_mean,
-    rollout_error,
-)
+from contactgraph.train.objective import FitState, TrainConfig, TrainingData, descend, optimiser_of
+from contactgraph.train.window_loss import masked_mean
 
 _SMALLEST = 1e-6
-DENIAL = 0.1
-"""Weight in training of what sensors deny: see `filter_loss`."""
+PERIOD, _FILTER_STEPS = 25, 100
+"""Steps of the dynamics on the same judged trajectories, and those of the filter that follow: it
+learns from rare events, so it needs more steps, and each costs little."""
+_FILTERED = 12
+"""Judged trajectories on which the filter is scored a step."""
+_LAPSE, _RESUME = 0.15, 0.1
+"""Probability a step that observation stops, and that it begins again, in training of the filter:
+it learns to predict for some 10 steps from a belief that motion has corrected."""
+_APART = 0.1
+"""Prior of contact, by the recorded distance, below which bodies certainly do not touch."""
+_MOST_WRONG, _LATEST = 0.1, 3
+"""Largest error rates, and longest delay [steps], of the sensors of training."""
+_DENIAL = 0.1
+"""Weight of `denial_score` in training."""
 _DENIED, _UNMEASURED = 10, 0.5
-"""Steps of `_denial_score` that a sensor denies contact, and seconds without measurement after."""
+"""Steps of `denial_score` that a sensor denies contact, and seconds without measurement after."""
 
 
-def check_contacts(model: ContactDynamics, dataset: Dataset, what: str) -> None:
-    """Raises `InvalidInputError` where ``what`` lacks a filter, or any trajectory its contacts."""
-    if model.prediction_noise is None:
-        raise InvalidInputError(
-            f"{what}: the model must be a filter (--model ours), found "
-            f"{type(model.inference).__name__}"
-        )
-    lacking = sum(each.contact is None for each in dataset)
-    if lacking:
-        raise InvalidInputError(
-            f"{what}: {lacking} of {len(dataset)} trajectories have no contact field; it must be "
-            "in every trajectory"
-        )
+def filter_optimiser(config: TrainConfig) -> optax.GradientTransformation:
+    """Over all of the filter's steps, which begin in the second half of training."""
+    steps = max(1, config.steps // (2 * PERIOD)) * _FILTER_STEPS
+    return optimiser_of(config, steps=steps)
 
 
-def dynamics_loss(
+@eqx.filter_jit
+def learn_filter(
+    state: FitState,
+    data: TrainingData,
+    trajectories: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
+    key: PRNGKeyArray,
+) -> tuple[FitState, Float[Array, ""]]:
+    """Steps of the filter alone, and their mean score."""
+    config, (hide_key, key) = data.config, jax.random.split(key)
+    model, (of_dynamics, of_filter) = state.model, state.optimiser
+    observed = random_segments(hide_key, evidence.types.shape[:2])
+    pool = predict_unobserved(model, trajectories, evidence, observed)
+    params, static = eqx.partition(model.inference, eqx.is_inexact_array)
+
+    def loss(params: PyTree, key: PRNGKeyArray) -> Float[Array, ""]:
+        learned = replace(model, inference=eqx.combine(params, static))
+        draw_key, key = jax.random.split(key)
+        index = jax.random.randint(draw_key, (_FILTERED,), 0, len(observed))
+        drawn, told, seen = jax.tree.map(lambda leaf: leaf[index], (*pool, observed))
+        score = filter_loss(learned, drawn, told, seen, key, data.reports_touch, _DENIAL)
+        return config.weights.likelihood * score
+
+    def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, Array]:
+        score, gradient = jax.value_and_grad(loss)(params, key)
+        return gradient, score
+
+    keys = jax.random.split(key, _FILTER_STEPS)
+    params, of_filter, score = descend(slope, filter_optimiser(config), params, of_filter, keys)
+    learned = replace(model, inference=eqx.combine(params, static))
+    return replace(state, model=learned, optimiser=(of_dynamics, of_filter)), score
+
+
+def random_segments(key: PRNGKeyArray, shape: tuple[int, ...]) -> Bool[Array, "B T"]:
+    """True in random segments of the steps, those after which the bodies are observed."""
+    first_key, key = jax.random.split(key)
+    first = jax.random.bernoulli(first_key, _RESUME / (_LAPSE + _RESUME), shape[:1])
+
+    def step(on: Array, uniform: Array) -> tuple[Array, Array]:
+        on = jnp.where(on, uniform >= _LAPSE, uniform < _RESUME)
+        return on, on
+
+    return jax.lax.scan(step, first, jax.random.uniform(key, shape[::-1]))[1].T
+
+
+def predict_unobserved(
     model: ContactDynamics,
-    windows: Window,
-    judged: JudgedSteps,
-    rolled_out: Bool[Array, " B"],
-) -> LossTerms:
-    """Terms over a batch of windows, given the likeliest types; the filter does not learn.
+    trajectories: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
+    observed: Bool[Array, "B T"],
+) -> tuple[TrajectoryBatch[Array], MotionEvidence]:
+    """The trajectories with predicted states after steps that are not ``observed``, and what the
+    recorded motion says of their steps.
 
-    Windows that are ``rolled_out`` are predicted from their first states, of the others each step
-    from the recorded one.
+    Recorded states tell what the filter ought to predict: a body that is still beside the gripper
+    was not let go. Along a rollout the states follow the likeliest types, so the filter is scored
+    on such rollouts, by the recorded motion. Bodies that did not touch in it were free in that
+    step, wherever the rollout has them.
     """
-    position, velocity, in_reach = jax.vmap(partial(given_steps, model))(
-        windows, judged.types, judged.before, rolled_out
+    model, trajectories = without_gradient(model), evidence.weighed(trajectories)
+    touch = jnp.log(jnp.clip((1.0 - evidence.prior[..., 0]) / _APART, _SMALLEST, 1.0))
+
+    def along(window: TrajectoryBatch[Array], ratio: Array, observed: Array) -> ModelState:
+        def step(state: ModelState, inputs: tuple) -> tuple[ModelState, ModelState]:
+            control, ratio, observed, after = inputs
+            graph = model.encode_state(state, control, window.nodes)
+            belief, joint = model.predict_joint(state.belief, graph)
+            linear = model.linearize(model.cut_edges(graph, belief))
+            predicted = *linear(state.position, state.velocity, control), belief
+            corrected = *after, posterior_by_motion(belief, joint, ratio).observed
+            position, velocity, belief = jax.tree.map(
+                lambda one, other: jnp.where(observed, one, other), corrected, predicted
+            )
+            return ModelState(position, velocity, belief), state
+
+        position, velocity = window.position[0], window.velocity[0]
+        first = model.initial_belief(position, velocity, window.nodes)
+        after = window.position[1:], window.velocity[1:]
+        inputs = window.control, ratio, observed, after
+        return jax.lax.scan(step, ModelState(position, velocity, first), inputs)[1]
+
+    states = jax.vmap(along)(trajectories, evidence.log_ratio, observed)
+    begins = jnp.pad(observed, ((0, 0), (1, 0)), constant_values=True)[:, :-1, None]
+    ratio = evidence.log_ratio.at[..., 1:].add(jnp.where(begins, 0.0, touch)[..., None, None])
+    replaced = trajectories._replace(
+        position=trajectories.position.at[:, :-1].set(states.position),
+        velocity=trajectories.velocity.at[:, :-1].set(states.velocity),
     )
-    after = windows.position[:, 1:], windows.velocity[:, 1:]
-    error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
-    error += jnp.sum((velocity - after[1]) ** 2, axis=-1)
-    learned = jnp.broadcast_to(windows.learned[:, None], error.shape)
-    single = learned & ~rolled_out[:, None, None]
-    zero = noise = jnp.zeros(())
-    if model.prediction_noise is not None:
-        count = position.shape[2]
-        incidence = np.any(pair_indices(count)[..., None] == np.arange(count), axis=1)
-        score = model.prediction_noise.score(
-            windows.velocity[:, :-1],
-            jax.lax.stop_gradient((position, velocity)),
-            judged.unhindered,
-            after,
-            jnp.einsum("en,blea->blna", incidence.astype(position.dtype), judged.types[..., 1:]),
-            model.dt,
-        )
-        near = jnp.any(in_reach[..., None] & incidence, axis=2)
-        noise = masked_mean(score, single & near)
-    if judged.masses is not None:
-        of_masses = jax.vmap(partial(mass_score, model))(judged.masses, windows.nodes)
-        noise += masked_mean(of_masses, windows.nodes.passive)
-    rollout = jax.vmap(partial(rollout_error, model))(position, velocity, windows)
-    return LossTerms(
-        prediction=masked_mean(jnp.sqrt(error + _SMALLEST), single),
-        squared=masked_mean(error, single),
-        rollout=masked_mean(rollout, learned & rolled_out[:, None, None]),
-        prior=zero,
-        likelihood=zero,
-        noise=noise,
-    )
-
-
-def given_steps(
-    model: ContactDynamics,
-    window: Window,
-    types: Float[Array, "L E K"],
-    before: Float[Array, "L E K"],
-    rolled_out: Bool[Array, ""],
-) -> tuple[Float[Array, "L N G"], Float[Array, "L N G"], Bool[Array, "L E"]]:
-    """The states, m and m/s, that the steps of a window lead to with these one-hot types in every
-    step and ``before`` it, and the edges within the cutoff.
-
-    Each step begins in the recorded state, or, where ``rolled_out``, where the last one led to.
-    """
-
-    def step(state: Motion, inputs: tuple) -> tuple[Motion, tuple[Array, Array, Array]]:
-        recorded, control, types, before = inputs
-        at: Motion = jax.tree.map(
-            lambda own, seen: jnp.where(rolled_out, own, seen), state, recorded
-        )
-        graph = model.encode(*at, control, window.nodes, ContactBelief(before))
-        linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
-        after = linear(*at, control)
-        return after, (*after, graph.weight > 0)
-
-    recorded = window.position[:-1], window.velocity[:-1]
-    first = window.position[0], window.velocity[0]
-    return jax.lax.scan(step, first, (recorded, window.control, types, before))[1]
+    before = jnp.where(begins[..., None], evidence.before, states.belief.type_probability)
+    return replaced, replace(evidence, before=before, log_ratio=ratio, meeting=None)
 
 
 def filter_loss(
     model: ContactDynamics,
-    trajectories: Window,
-    judged: JudgedSteps,
-    step_mask: Bool[Array, "B T"],
+    trajectories: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
     observed: Bool[Array, "B T"],
     key: PRNGKeyArray,
-    contact: Float[Array, "B T+1 E"] | None = None,
     reports_touch: bool = True,
     denial: float = 0.0,
 ) -> Float[Array, ""]:
     """Mean score of every edge within the cutoff at every step; see the module's docstring.
 
-    Motion corrects the belief in the states that are ``observed``. Where the recorded ``contact``
-    is given, so do reports of it, in segments of these: see `random_reports`. The score is that of
-    the motion alone; ``denial`` times the mean of `_denial_score` is added. Gradients reach the
+    Motion corrects the belief in the states that are ``observed``. Where the trajectories have
+    recorded contacts, so do reports of these, in segments of them: see `random_reports`. The score
+    is that of the motion alone; ``denial`` times `denial_score` is added. Gradients reach the
     inference alone.
     """
-    graph = encoded_steps(model, trajectories, judged)
-    reports = None
-    if contact is not None:
+    graph = encode_evidence(model, trajectories, evidence)
+    reports: tuple = None, None
+    if trajectories.contact is not None:
         used_key, report_key = jax.random.split(jax.random.fold_in(key, 1))
-        used = observed & random_segments(used_key, step_mask.shape)
-        reports = random_reports(contact, report_key, used)
-
-    def along(
-        graph: EncodedGraph, ratio: Array, corrects: Array, reports: SensorReports | None
-    ) -> Array:
-        return _filtered(model, graph, ratio, corrects, reports, reports_touch)[1]
-
-    score = jax.vmap(along)(graph, judged.log_ratio, observed, reports)
-    mean = masked_mean(score, (graph.weight > 0) & step_mask[..., None])
-    if denial:
-        mean = mean + denial * _denial_score(model, graph, key)
-    return mean
+        used = observed & random_segments(used_key, observed.shape)
+        reports = random_reports(trajectories.contact, report_key, used, reports_touch)
+    filtered = jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed, *reports)
+    counted = (graph.weight > 0) & trajectories.step_mask[..., None]
+    score = masked_mean(filtered.score, counted)
+    return score + denial * denial_score(model, graph, key) if denial else score
 
 
-def _denial_score(
+def random_reports(
+    contact: Float[Array, "B T+1 E"],
+    key: PRNGKeyArray,
+    used: Bool[Array, "B T"],
+    reports_touch: bool = True,
+) -> tuple[Float[Array, "B T E"], ContactSensor]:
+    """Reports of recorded contacts about the state that each step leads to, NaN but in the steps
+    ``used``, of a sensor a trajectory; and these sensors, as the correction assumes them.
+
+    They have random error rates and delays.
+    """
+    false_key, miss_key, delay_key, error_key = jax.random.split(key, 4)
+    count, states, _ = contact.shape
+    false_alarm, miss = (
+        jax.random.uniform(each, (count,), maxval=_MOST_WRONG) for each in (false_key, miss_key)
+    )
+    delay = jax.random.randint(delay_key, (count,), 0, _LATEST + 1)
+    wrong = jnp.where(contact > 0.5, miss[:, None, None], false_alarm[:, None, None])
+    is_wrong = jax.random.uniform(error_key, contact.shape) < wrong
+    read = jnp.where(is_wrong, 1.0 - contact, contact)
+    about = jnp.arange(1, states) - delay[:, None]
+    known = used & (about >= 0)
+    report = jnp.take_along_axis(read, jnp.maximum(about, 0)[..., None], axis=1)
+    false_alarm, miss = (jnp.asarray(late_rate(rate, delay)) for rate in (false_alarm, miss))
+    assumed = ContactSensor(false_alarm, miss, reports_touch)
+    return jnp.where(known[..., None], report, jnp.nan), assumed
+
+
+def denial_score(
     model: ContactDynamics, graph: EncodedGraph, key: PRNGKeyArray
 ) -> Float[Array, ""]:
     """Mean improbability of *free* where a sensor denies contact of bodies that touch at rest.
@@ -212,67 +239,10 @@ def _denial_score(
         stays = joint[..., 0, 0] / jnp.maximum(belief.type_probability[..., 0], _SMALLEST)
         score = -jnp.log(jnp.maximum(stays, _SMALLEST))
         after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
-        return jax.vmap(seen_or_not)(after, denied | seen), score
+        return jax.vmap(where_observed)(after, denied | seen), score
 
     believed = jnp.where(at_once[:, None, None], free, prior)
     first = jax.vmap(inference.init)(embedding, believed)
     denied = jnp.arange(_DENIED + round(_UNMEASURED / model.dt)) < _DENIED
     score = jnp.mean(jax.lax.scan(step, first, denied)[1][_DENIED // 3 :], axis=0)
     return jnp.sum(weight[..., 0] * score) / jnp.maximum(jnp.sum(weight), 1.0)
-
-
-def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) -> EncodedGraph:
-    """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
-    learned = dataclasses.replace(without_gradient(model), inference=model.inference)
-    return WindowSteps(learned, windows, 1).encode(ContactBelief(judged.before), judged.meeting)
-
-
-def predict_and_score(
-    model: ContactDynamics,
-    belief: ContactBelief,
-    graph: EncodedGraph,
-    ratio: Float[Array, "E K K"],
-) -> tuple[ContactBelief, Float[Array, "E K K"], Float[Array, " E"]]:
-    """`ContactDynamics.predict_joint`, and the negative log-likelihood of each edge's motion."""
-    predicted, joint = model.predict_joint(belief, graph)
-    score = -jax.nn.logsumexp(jnp.log(jnp.maximum(joint, _SMALLEST)) + ratio, axis=(1, 2))
-    return predicted, joint, score
-
-
-def _filtered(
-    model: ContactDynamics,
-    graph: EncodedGraph,
-    ratio: Float[Array, "T E K K"],
-    corrects: Bool[Array, " T"],
-    reports: SensorReports | None = None,
-    reports_touch: bool = True,
-) -> tuple[ContactBelief, Float[Array, "T E"]]:
-    """The corrected belief [T, ...] after every step of a trajectory, and the step's score."""
-
-    def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, tuple]:
-        graph, ratio, corrects, report = inputs
-        predicted, joint, score = predict_and_score(model, belief, graph, ratio)
-        used = jnp.where(corrects, ratio, 0.0)
-        posterior = posterior_by_motion(predicted, joint, used)
-        if reports is not None:
-            sensor = ContactSensor(reports.false_alarm, reports.miss, reports_touch)
-            posterior = correct(posterior, report, sensor)
-        after = seen_or_not(posterior, corrects)
-        return after, (after, score)
-
-    first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
-    report = None if reports is None else reports.report
-    beliefs, score = jax.lax.scan(step, first, (graph, ratio, corrects, report))[1]
-    return beliefs, score
-
-
-def corrected_beliefs(
-    model: ContactDynamics, trajectories: Window, judged: JudgedSteps
-) -> ContactBelief:
-    """[B, T, ...] the beliefs after every step, corrected by the motion of all up to it."""
-    trajectories = with_window_masses(trajectories, judged.masses)
-    graph = encoded_steps(model, trajectories, judged)
-    always = jnp.ones(trajectories.control.shape[1], bool)
-    return jax.vmap(lambda graph, ratio: _filtered(model, graph, ratio, always)[0])(
-        graph, judged.log_ratio
-    )

@@ -5,7 +5,7 @@ would dilute a mean. The error is therefore over the bodies that move. Dead netw
 that react to nothing, and in errors that equal constant velocity.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -15,13 +15,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.graph import edge_count
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import moving_bodies
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.train.batch import Window, WindowSource
-from contactgraph.train.filter_loss import corrected_beliefs
-from contactgraph.train.judged_steps import JudgedSteps, with_window_masses
-from contactgraph.train.loss import chunked_vmap, objective_of, predict_window
+from contactgraph.model.step import ModelState
+from contactgraph.train.batch import WindowSource, chunked_vmap, map_steps
 
 _WINDOWS = 256
 _SAME_FEATURES = 1e-2
@@ -59,17 +58,18 @@ class HeldOutBaselines:
 class HeldOutWindows(eqx.Module):
     """A fixed set of ``B`` windows of held-out trajectories, and the bodies that count in them."""
 
-    windows: Window
+    windows: TrajectoryBatch[Array]
     counted: Bool[Array, "B N"]
     moving: bool = eqx.field(static=True)
     """Whether the bodies that move are counted; else all are, because none moves."""
-    before: Window | None = None
-    """The steps before each window, whose motion corrects the belief in its first state. None: the
-    first state is the first that is known."""
-    every: Window | None = None
-    """Whole trajectories, whose motion tells a filter."""
-    begins: tuple[Int[Array, " B"], Int[Array, " B"]] | None = None
-    """The trajectory, of all of these, and the first state of each window."""
+    source: WindowSource
+    """Of the whole trajectories, whose motion before a window tells the belief in its first state;
+    its windows have ``burn`` steps more, at the beginning."""
+    trajectory: Int[Array, " B"]
+    """Of each window, in the source."""
+    start: Int[Array, " B"]
+    """First state of each window of the source."""
+    burn: int = eqx.field(static=True)
 
     def baselines(self, dt: float) -> HeldOutBaselines:
         """The errors of constant velocity and of standing still; steps of ``dt`` [s]."""
@@ -85,27 +85,30 @@ class HeldOutWindows(eqx.Module):
         return HeldOutBaselines(rmse(first + elapsed * velocity[:, :1]), rmse(first), self.moving)
 
 
-def held_out_windows(source: WindowSource, burn: int = 0, judged: int = 0) -> HeldOutWindows:
+def held_out_windows(source: WindowSource, burn: int = 0) -> HeldOutWindows:
     """Windows balanced over events as those of training are, the same in every training.
 
-    Of each window that ``source`` draws, the first ``burn`` steps only correct the belief. So many
-    whole trajectories are ``judged`` for a filter; those of all windows are among them. Bodies
-    that get more than `MOVES_M` away from their first position in a window are counted, static ones
-    and padding are not. Where no body moves in any window, all are.
+    The first ``burn`` steps of each window that ``source`` draws come before it. Bodies that get
+    more than `MOVES_M` away from their first position in a window are counted, static ones and
+    padding are not. Where no body moves in any window, all are.
     """
-    index = source.draw_indices(_WINDOWS, jax.random.key(0))
-    drawn = source.take(index)
-    windows = drawn.part(burn, drawn.control.shape[1])
-    exists = np.asarray(windows.learned)
+    trajectory, start = source.draw_starts(_WINDOWS, jax.random.key(0))
+    windows = steps_between(source.take(trajectory, start), burn, source.length)
+    exists = np.asarray(windows.nodes.mobile)
     moves = exists & moving_bodies(np.asarray(windows.position))
     moving = bool(moves.any())
     counted = jnp.asarray(moves if moving else exists)
-    found = HeldOutWindows(windows, counted, moving, drawn.part(0, burn) if burn else None)
-    if not judged:
-        return found
-    trajectory, start = source.begins(index)
-    every = source.whole(jnp.arange(judged)).states
-    return replace(found, every=every, begins=(trajectory, start + burn))
+    return HeldOutWindows(windows, counted, moving, source, trajectory, start, burn)
+
+
+def steps_between(windows: TrajectoryBatch[Array], begin: int, end: int) -> TrajectoryBatch[Array]:
+    """The steps ``begin`` to ``end`` of a batch of windows."""
+    return windows._replace(
+        position=windows.position[:, begin : end + 1],
+        velocity=windows.velocity[:, begin : end + 1],
+        control=windows.control[:, begin:end],
+        steps=jnp.full_like(windows.steps, end - begin),
+    )
 
 
 def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Float[Array, ""]:
@@ -120,31 +123,33 @@ def mean_rmse(squared: Float[Array, "B L N"], counted: Bool[Array, "B N"]) -> Fl
     return jnp.sum(root) / jnp.maximum(jnp.sum(bodies > 0), 1)
 
 
+def predict_window(
+    model: ContactDynamics, window: TrajectoryBatch[Array], belief: ContactBelief
+) -> ModelState:
+    """All states of a window, ``[L, …]``, predicted from its first state, the belief in it, and
+    its controls."""
+    first = ModelState(window.position[0], window.velocity[0], belief)
+    return model.rollout(first, window.control, window.nodes)
+
+
 def rollout_rmse(
-    model: ContactDynamics, held_out: HeldOutWindows, judged: JudgedSteps | None = None
+    model: ContactDynamics,
+    windows: TrajectoryBatch[Array],
+    belief: ContactBelief,
+    counted: Bool[Array, "B N"],
 ) -> Float[Array, ""]:
-    """`mean_rmse` of the positions [m] of windows that are predicted from their first states.
+    """`mean_rmse` of the positions [m] of windows that are predicted from their first states, in
+    which the beliefs are these."""
 
-    ``judged`` are the steps of all trajectories; they tell the masses of their bodies, too.
-    """
-
-    def squared_error(window: Window, belief: ContactBelief | None) -> Float[Array, "L N"]:
+    def squared_error(window: TrajectoryBatch[Array], belief: ContactBelief) -> Float[Array, "L N"]:
         states = predict_window(model, window, belief)
         return jnp.sum((states.position - window.position[1:]) ** 2, axis=-1)
 
-    windows, before = held_out.windows, held_out.before
-    belief = None if before is None else objective_of(model).belief(model, before)
-    if judged is not None and held_out.every is not None and held_out.begins is not None:
-        trajectory, start = held_out.begins
-        along = corrected_beliefs(model, held_out.every, judged)
-        belief = jax.tree.map(lambda leaf: leaf[trajectory, start - 1], along)
-        masses = jax.tree.map(lambda leaf: leaf[trajectory], judged.masses)
-        windows = with_window_masses(windows, masses)
     edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    return mean_rmse(chunked_vmap(squared_error, (windows, belief), edges), held_out.counted)
+    return mean_rmse(chunked_vmap(squared_error, windows, belief, edges=edges), counted)
 
 
-def has_dead_units(model: ContactDynamics, windows: Window) -> bool:
+def has_dead_units(model: ContactDynamics, windows: TrajectoryBatch[Array]) -> bool:
     """Whether the network that decides about edges gives all near pairs the same message.
 
     Some layer of it then has no active unit, and no gradient by which it could recover. Where every
@@ -154,12 +159,10 @@ def has_dead_units(model: ContactDynamics, windows: Window) -> bool:
     if not _networks(model):
         return False
     messages, features = (np.asarray(each, float) for each in _ranges(model, windows))
-    lowest, highest = features[:, 0].min(axis=0), features[:, 1].max(axis=0)
-    if not np.any(highest - lowest > _SAME_FEATURES):
+    if not np.any(features[1] - features[0] > _SAME_FEATURES):
         return False
-    lowest, highest = messages[:, 0].min(axis=0), messages[:, 1].max(axis=0)
-    size = max(np.abs(lowest).max(), np.abs(highest).max())
-    return bool(np.all(highest - lowest <= _SAME_MESSAGES * size))
+    size = np.abs(messages).max()
+    return bool(np.all(messages[1] - messages[0] <= _SAME_MESSAGES * size))
 
 
 def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
@@ -168,11 +171,10 @@ def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
 
 @eqx.filter_jit
 def _ranges(
-    model: ContactDynamics, windows: Window
-) -> tuple[Float[Array, "S 2 W"], Float[Array, "S 2 G"]]:
-    """Least and largest message, and edge feature, over the near pairs of each recorded state."""
-    batch, states = windows.position.shape[:2]
-
+    model: ContactDynamics, windows: TrajectoryBatch[Array]
+) -> tuple[Float[Array, "2 W"], Float[Array, "2 G"]]:
+    """Least and largest message, and edge feature, over the near pairs of all recorded states."""
+    batch, states, count = windows.position.shape[:3]
     still = jnp.zeros(windows.control.shape[-1], windows.control.dtype)
     nothing = nothing_active(model.inference.edge_types)
 
@@ -189,18 +191,17 @@ def _ranges(
             messages = [each(node, edge, weight, ends)[1] for each in _networks(model)]
 
         def extremes(values: Array) -> Array:
-            def least(values: Array) -> Array:
-                near_values = jnp.where(near[:, None], values, jnp.inf)
-                return jnp.min(near_values, axis=(0, 1), initial=jnp.inf)
-
-            return jnp.stack([least(values), -least(-values)])
+            """The least of the near pairs' values, and of their negatives."""
+            both = jnp.where(near[:, None], jnp.stack([values, -values]), jnp.inf)
+            return jnp.min(both, axis=(1, 2), initial=jnp.inf)
 
         return extremes(jnp.concatenate(messages, axis=-1)), extremes(graph.edge_features)
 
-    window = jnp.repeat(jnp.arange(batch), states)
-    flat = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in (windows.position, windows.velocity))
-    edges = edge_count(model.neighbor_list, windows.position.shape[-2])
-    return chunked_vmap(of_state, (window, *flat), edges)
+    window = jnp.repeat(jnp.arange(batch)[:, None], states, axis=1)
+    edges = edge_count(model.neighbor_list, count)
+    found = map_steps(of_state, window, windows.position, windows.velocity, edges=edges)
+    sign = jnp.array([[1.0], [-1.0]])
+    return jax.tree.map(lambda each: sign * jnp.min(each, axis=(0, 1)), found)
 
 
 def equals_constant_velocity(

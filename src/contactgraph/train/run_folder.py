@@ -10,7 +10,8 @@ import safetensors.numpy
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.files import atomic_write
 from contactgraph.model.io import module_arrays, with_arrays
-from contactgraph.train.fit_state import FitProgress, FitState
+from contactgraph.train.fit import FitProgress
+from contactgraph.train.objective import FitState
 
 FORMAT = "contactgraph-checkpoint"
 VERSION = 1
