@@ -105,16 +105,8 @@ class Bodies(NamedTuple):
 class EncodedGraph(eqx.Module):
     """One step's state, control and graph, before inference and, with cut edges, after it."""
 
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
+    bodies: Bodies
     control: Float[Array, " U"]
-    nodes: Nodes
-    node_type: Float[Array, "N node_types"]
-    """One-hot."""
-    turns: Float[Array, " N"]
-    """1 for bodies that turn, else 0."""
     control_displacement: Float[Array, "N D"] | None
     """m; how far the control alone moves each node, together with what it holds. None: left out of
     account."""

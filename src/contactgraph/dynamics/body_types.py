@@ -6,12 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Joined
-from contactgraph.bodies.graph import Bodies, EncodedGraph, GroupCapacity
+from contactgraph.bodies.graph import Bodies, GroupCapacity
 from contactgraph.bodies.mass_matrix import MassMatrix
 from contactgraph.bodies.pins import joined_with_pins, pin_joints
 from contactgraph.bodies.planes import rests_on_planes
 from contactgraph.bodies.rotations import stepped_turns
-from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.actuation import ActuatedMotion, Actuation
 from contactgraph.dynamics.contacts import damper_of, solved
 
@@ -120,14 +119,13 @@ class BodyTypes(eqx.Module):
         touches another within the step. Bodies that hold each other count as rigid. No gradient
         reaches the parameters.
         """
-        position, velocity, nodes, node_type, turns = bodies
-        motion = self.actuation(position, velocity, node_type, nodes, theta, dt)
-        mass = self._coordinate_mass(nodes, node_type, motion, velocity.shape[1])
+        motion = self.actuation(bodies, theta, dt)
+        mass = self._coordinate_mass(bodies, motion)
         mass, theta = jax.lax.stop_gradient((mass, theta))
         free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        pins = pin_joints(nodes, turns, mass, self.turn_length)
+        pins = pin_joints(bodies.nodes, bodies.turns, mass, self.turn_length)
         if pins is not None:
-            held, holds = joined_with_pins(held, holds, pins, position)
+            held, holds = joined_with_pins(held, holds, pins, bodies.position)
         elif not len(holds):
             return theta * dt**2 * free
         size = held.contact_jacobian.shape[-1]
@@ -136,7 +134,7 @@ class BodyTypes(eqx.Module):
 
     def retract(
         self,
-        graph: EncodedGraph,
+        bodies: Bodies,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         *,
@@ -148,25 +146,16 @@ class BodyTypes(eqx.Module):
         if self.turn_length is None:
             return position, velocity
         if position.shape[1] == 6:
-            position = stepped_turns(graph.position, position, self.turn_length)
-        motion = self.actuation(
-            graph.position, graph.velocity, graph.node_type, graph.nodes, theta, dt
-        )
-        mass = self._coordinate_mass(graph.nodes, graph.node_type, motion, position.shape[1])
-        pins = pin_joints(graph.nodes, graph.turns, mass, self.turn_length)
+            position = stepped_turns(bodies.position, position, self.turn_length)
+        mass = self._coordinate_mass(bodies, self.actuation(bodies, theta, dt))
+        pins = pin_joints(bodies.nodes, bodies.turns, mass, self.turn_length)
         return (position, velocity) if pins is None else pins.closed(position, velocity)
 
-    def _coordinate_mass(
-        self,
-        nodes: Nodes,
-        node_type: Float[Array, "N types"],
-        motion: ActuatedMotion,
-        coordinates: int,
-    ) -> Float[Array, "N G"]:
+    def _coordinate_mass(self, bodies: Bodies, motion: ActuatedMotion) -> Float[Array, "N G"]:
         """kg; of every coordinate of every node, with what a servo adds."""
-        own = 0.0 if nodes.log_mass is None else nodes.log_mass
-        mass = self.mass(node_type, own) * motion.inertia
-        return mass[:, None] * self.mass_ratio(node_type, coordinates)
+        own = 0.0 if bodies.nodes.log_mass is None else bodies.nodes.log_mass
+        mass = self.mass(bodies.node_type, own) * motion.inertia
+        return mass[:, None] * self.mass_ratio(bodies.node_type, bodies.position.shape[1])
 
     def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
         # Bodies that rest do not tell how much farther a plane might be.

@@ -117,11 +117,11 @@ class ContactLaw(BodyTypes):
         dt: float,
     ) -> SpringMassDamper:
         """Parameters of every node at one step of ``dt`` [s] with the implicitness ``theta``."""
-        nodes, node_type = graph.nodes, graph.node_type
-        velocity, (count, coordinates) = graph.velocity, graph.position.shape
+        nodes, node_type = graph.bodies.nodes, graph.bodies.node_type
+        velocity, (count, coordinates) = graph.bodies.velocity, graph.bodies.position.shape
         dimension = self.actuation.dimension
-        motion = self.actuation(graph.position, velocity, node_type, nodes, theta, dt)
-        mass = self._coordinate_mass(nodes, node_type, motion, coordinates)
+        motion = self.actuation(graph.bodies, theta, dt)
+        mass = self._coordinate_mass(graph.bodies, motion)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # By the control in the step, until contacts hinder it.
@@ -133,10 +133,10 @@ class ContactLaw(BodyTypes):
                 displaced, graph, theta=theta, dt=dt
             )
         contacts = self._contacts(braked, message, theta=theta, dt=dt)
-        pins = pin_joints(nodes, graph.turns, mass, self.turn_length)
+        pins = pin_joints(nodes, graph.bodies.turns, mass, self.turn_length)
         if pins is not None:
-            motion_until = dt * (braked.velocity + theta * displaced)
-            joints = pins.geometry(graph.position, braked.velocity, motion_until)
+            motion_until = dt * (braked.bodies.velocity + theta * displaced)
+            joints = pins.geometry(graph.bodies.position, braked.bodies.velocity, motion_until)
             contacts = contacts.and_also(pin_contacts(pins, joints))
         lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
@@ -157,7 +157,7 @@ class ContactLaw(BodyTypes):
         damper, slowing = (on_ground * each for each in self.slowing(node_type))
         bodies = FreeBodies(
             mass=mass,
-            velocity=braked.velocity,
+            velocity=braked.bodies.velocity,
             ground_damper=dt * damper,
             deceleration=slowing,
             weight=(mass * falls)[..., None],
@@ -165,7 +165,7 @@ class ContactLaw(BodyTypes):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            patch=Patch.of(nodes.outlines, nodes.gravity, graph.position, self.turn_length),
+            patch=Patch.of(nodes.outlines, nodes.gravity, graph.bodies.position, self.turn_length),
         )
         if self.identified:
             contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
@@ -212,7 +212,7 @@ class ContactLaw(BodyTypes):
             early = geometry.approach > (tolerance := _EARLY * self.length)
             early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            nearer = geometry.approach + weighed_down(geometry, graph.nodes, dt)
+            nearer = geometry.approach + weighed_down(geometry, graph.bodies.nodes, dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
@@ -221,7 +221,7 @@ class ContactLaw(BodyTypes):
         each = each.at[:2].set(1.0 - (not self.identified) * _SOFTEST * (1.0 - each[:2]))
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
-        elastic, friction = self.laws(graph.node_type, *geometry.edge_index)
+        elastic, friction = self.laws(graph.bodies.node_type, *geometry.edge_index)
         touching = touch / jnp.maximum(jnp.sum(weight, axis=0), _SMALL)
         bounce = touch * elastic
         # A contact that bounces is over in an instant.
@@ -249,19 +249,19 @@ class ContactLaw(BodyTypes):
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        motion = dt * (graph.velocity + driven)
-        distance = self._plane_distance(graph.node_type)
+        motion = dt * (graph.bodies.velocity + driven)
+        distance = self._plane_distance(graph.bodies.node_type)
         geometry = plane_geometry(
-            graph.nodes,
-            position=graph.position,
-            velocity=graph.velocity,
+            graph.bodies.nodes,
+            position=graph.bodies.position,
+            velocity=graph.bodies.velocity,
             motion=motion,
             distance=distance,
-            turns=graph.turns,
+            turns=graph.bodies.turns,
             turn_length=self.turn_length,
             length=self.length,
         )
-        bounce, friction = self.laws(graph.node_type, geometry.edge_index[0])
+        bounce, friction = self.laws(graph.bodies.node_type, geometry.edge_index[0])
         return plane_contacts(
             geometry,
             softness=_ONE_SIDED * self.length,

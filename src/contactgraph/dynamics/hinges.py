@@ -100,12 +100,13 @@ def with_hinge_springs(
 ) -> SpringMassDamper:
     """The parameters with the springs that keep bodies turning about their hinges; ``change`` [m/s]
     is that of their velocities by contacts."""
-    anchor = graph.nodes.anchor
+    bodies = graph.bodies
+    anchor = bodies.nodes.anchor
     assert anchor is not None and parameters.acceleration is not None
     constraint = hinge_constraint(
         anchor,
-        graph.position,
-        graph.velocity + change,
+        bodies.position,
+        bodies.velocity + change,
         coupling,
         graph.geometry.edge_index,
         graph.geometry.relative_velocity,
@@ -122,11 +123,11 @@ def with_hinge_springs(
         / jnp.maximum(stiffness + own, _MIN_SHARE),
         acceleration=(acceleration := parameters.acceleration * (after / before)),
     )
-    moved = graph.position + theta * dt * graph.velocity
+    moved = bodies.position + theta * dt * bodies.velocity
     pull = dt * (acceleration - stiffness * (moved - constraint.center))
     # The position after the step without control; see `ThetaMethod`.
     displacement = sprung.impact_displacement
-    position = graph.position + dt * (graph.velocity + theta * pull / after) + displacement
+    position = bodies.position + dt * (bodies.velocity + theta * pull / after) + displacement
     return dataclasses.replace(
         sprung, impact_displacement=displacement + constraint.projection(position)
     )

@@ -79,7 +79,7 @@ class WithoutContacts(eqx.Module):
 
     def retract(
         self,
-        graph: EncodedGraph,
+        bodies: Bodies,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         **step: Any,
@@ -129,11 +129,11 @@ class SpringMassDamperDynamics(LocalDynamics):
 
     def retract(
         self,
-        graph: EncodedGraph,
+        bodies: Bodies,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         **step: Any,
     ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
         """See `ContactLaw.retract`."""
         theta = self.discretization.theta
-        return self.head.retract(graph, position, velocity, theta=theta, **step)
+        return self.head.retract(bodies, position, velocity, theta=theta, **step)

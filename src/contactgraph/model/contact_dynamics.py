@@ -152,12 +152,8 @@ class ContactDynamics(eqx.Module):
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         capacity = self.neighbor_list
         return EncodedGraph(
-            position=position,
-            velocity=velocity,
+            bodies=bodies,
             control=control,
-            nodes=nodes,
-            node_type=bodies.node_type,
-            turns=bodies.turns,
             control_displacement=displacement,
             geometry=edge_geometry,
             contact_points=points,
@@ -246,7 +242,7 @@ class ContactDynamics(eqx.Module):
         self, belief: ContactBelief, graph: EncodedGraph
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the step, and the probability of each pair of types before and after."""
-        before = belief.over(graph.edge_id, pair_count(len(graph.position)))
+        before = belief.over(graph.edge_id, pair_count(len(graph.bodies.position)))
         free, joint = self.inference.predict(before, graph.embedding, graph.prior)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
         types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
@@ -274,8 +270,8 @@ class ContactDynamics(eqx.Module):
             linear = self.local_dynamics(graph, self.dt)
         else:
             linear = self._in_substeps(graph)
-        moved = linear(graph.position, graph.velocity, graph.control)
-        kept = self.local_dynamics.retract(graph, *moved, dt=self.dt)
+        moved = linear(graph.bodies.position, graph.bodies.velocity, graph.control)
+        kept = self.local_dynamics.retract(graph.bodies, *moved, dt=self.dt)
         if kept[0] is moved[0] and kept[1] is moved[1]:
             return linear
         off = jnp.stack([kept[0] - moved[0], kept[1] - moved[1]], axis=-1)
@@ -283,22 +279,21 @@ class ContactDynamics(eqx.Module):
 
     def _in_substeps(self, graph: EncodedGraph) -> LinearDynamics:
         dt = self.dt / self.substeps
-        nodes, still = graph.nodes, jnp.zeros_like(graph.control)
+        start, still = graph.bodies, jnp.zeros_like(graph.control)
 
         def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
-            at = done(graph.position, graph.velocity, still)
-            at = self.local_dynamics.retract(graph, *at, dt=dt)
+            at = done(start.position, start.velocity, still)
+            at = self.local_dynamics.retract(start, *at, dt=dt)
             # Through all contacts of a rollout, each of which begins within a hair, gradients
             # overflow.
             at = jax.lax.stop_gradient(at)
-            meeting = self.features.meeting(nodes, at[0], graph.geometry.edge_index)
+            meeting = self.features.meeting(start.nodes, at[0], graph.geometry.edge_index)
             touch = graph.geometry.contact_distance
-            bodies = Bodies(at[0], at[1], nodes, graph.node_type, graph.turns)
+            bodies = start._replace(position=at[0], velocity=at[1])
             points = self._contact_points(bodies, dt, touch, meeting, None)
             there = dataclasses.replace(
                 graph,
-                position=at[0],
-                velocity=at[1],
+                bodies=bodies,
                 geometry=points.first(len(graph.active)),
                 contact_points=points,
                 control_displacement=None,

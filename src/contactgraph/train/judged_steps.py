@@ -144,7 +144,7 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
     def apart(graph: EncodedGraph) -> Motion:
         inactive = jnp.zeros_like(graph.prior).at[:, 0].set(1.0)
         linear = model.linearize(model.cut_edges(graph, ContactBelief(inactive)))
-        return linear(graph.position, graph.velocity, graph.control)
+        return linear(graph.bodies.position, graph.bodies.velocity, graph.control)
 
     graph = steps.encode(None)
     unhindered = steps.each(apart, graph)

@@ -256,7 +256,7 @@ def squared_state_error(
     after: Motion,
 ) -> Float[Array, " N"]:
     """Squared error of each node after a step; the position's divided by dt, (m/s)^2."""
-    position, velocity = linear(graph.position, graph.velocity, graph.control)
+    position, velocity = linear(graph.bodies.position, graph.bodies.velocity, graph.control)
     error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
     return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
 

@@ -200,7 +200,7 @@ class PerDegreeHead(WithoutContacts):
     ) -> SpringMassDamper:
         """Parameters of every node at one step."""
         out = jax.vmap(self.node)(embedding).reshape(-1, 4, self.dimension)
-        origin, anchor = graph.position, graph.nodes.anchor
+        origin, anchor = graph.bodies.position, graph.bodies.nodes.anchor
         if anchor is not None:
             origin = jnp.where(jnp.isfinite(anchor), anchor, origin)
         return SpringMassDamper(
