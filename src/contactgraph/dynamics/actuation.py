@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.bodies.geometry import relative_at_edges
 from contactgraph.bodies.graph import Bodies, EncodedGraph
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.free_bodies import ContactMotion
@@ -85,7 +84,7 @@ class ActuatedMotion(eqx.Module):
             by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
             constant=jnp.where(leaves, driven / dt, self.constant),
         )
-        change = relative_at_edges((slower - velocity)[..., None], graph.contact_points)[..., 0]
+        change = graph.contact_points.relative((slower - velocity)[..., None])[..., 0]
         relative = graph.contact_points.relative_velocity + change
         braked = dataclasses.replace(
             graph,

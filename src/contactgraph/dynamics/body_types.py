@@ -5,14 +5,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.geometry import Joined
-from contactgraph.bodies.graph import Bodies, GroupCapacity
-from contactgraph.bodies.mass_matrix import MassMatrix
-from contactgraph.bodies.pins import joined_with_pins, pin_joints
+from contactgraph.bodies.geometry import Rows, joined
+from contactgraph.bodies.graph import Bodies
+from contactgraph.bodies.mass_matrix import GroupCapacity, MassMatrix, solve
+from contactgraph.bodies.pins import pin_meeting, pinned, with_closed_pins
 from contactgraph.bodies.planes import rests_on_planes
 from contactgraph.bodies.rotations import stepped_turns
 from contactgraph.dynamics.actuation import ActuatedMotion, Actuation
-from contactgraph.dynamics.contacts import damper_of, solved
+from contactgraph.dynamics.contacts import damper_of
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
@@ -85,16 +85,8 @@ class BodyTypes(eqx.Module):
         if bodies.nodes.gravity is not None:
             if bodies.nodes.planes is None or bodies.velocity.shape[1] != 6:
                 return bodies.velocity
-            on_ground = rests_on_planes(
-                bodies.nodes,
-                position=bodies.position,
-                velocity=bodies.velocity,
-                distance=self._plane_distance(bodies.node_type),
-                turns=bodies.turns,
-                turn_length=self.turn_length,
-                length=self.length,
-                dt=dt,
-            )
+            distance = self._plane_distance(bodies.node_type)
+            on_ground = rests_on_planes(bodies, distance, self.turn_length, self.length, dt)
             damper, slowing = on_ground * damper, on_ground * slowing
         ratio = self.mass_ratio(bodies.node_type, bodies.velocity.shape[1])
         energy = jnp.sum(ratio * bodies.velocity**2, axis=-1)
@@ -106,7 +98,7 @@ class BodyTypes(eqx.Module):
         self,
         bodies: Bodies,
         control: Float[Array, " U"],
-        held: Joined,
+        held: Rows,
         holds: Float[Array, " C"],
         *,
         theta: Array,
@@ -123,14 +115,15 @@ class BodyTypes(eqx.Module):
         mass = self._coordinate_mass(bodies, motion)
         mass, theta = jax.lax.stop_gradient((mass, theta))
         free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        pins = pin_joints(bodies.nodes, bodies.turns, mass, self.turn_length)
-        if pins is not None:
-            held, holds = joined_with_pins(held, holds, pins, bodies.position)
-        elif not len(holds):
+        pins = pin_meeting(bodies, self.turn_length)
+        if len(pins.displacement):
+            held = joined(held, Rows(pins.edge_index, pins.contact_jacobian))
+            holds = jnp.concatenate([holds, pinned(pins)])
+        if not len(holds):
             return theta * dt**2 * free
         size = held.contact_jacobian.shape[-1]
         matrix = MassMatrix(mass[:, :size], damper_of(holds), held)
-        return theta * dt**2 * solved(matrix, (mass * free)[..., None], capacity).solution[..., 0]
+        return theta * dt**2 * solve(matrix, (mass * free)[..., None], capacity).solution[..., 0]
 
     def retract(
         self,
@@ -147,9 +140,12 @@ class BodyTypes(eqx.Module):
             return position, velocity
         if position.shape[1] == 6:
             position = stepped_turns(bodies.position, position, self.turn_length)
+        if bodies.nodes.pins is None:
+            return position, velocity
         mass = self._coordinate_mass(bodies, self.actuation(bodies, theta, dt))
-        pins = pin_joints(bodies.nodes, bodies.turns, mass, self.turn_length)
-        return (position, velocity) if pins is None else pins.closed(position, velocity)
+        after = bodies._replace(position=position, velocity=velocity)
+        after = with_closed_pins(after, mass, self.turn_length)
+        return after.position, after.velocity
 
     def _coordinate_mass(self, bodies: Bodies, motion: ActuatedMotion) -> Float[Array, "N G"]:
         """kg; of every coordinate of every node, with what a servo adds."""

@@ -9,13 +9,20 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry, as_near
-from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.bodies.pins import PinJoints, pin_joints, with_pins_held
-from contactgraph.bodies.planes import Patch, meets_plane, on_planes, plane_geometry, weighed_down
+from contactgraph.bodies.graph import Bodies, EncodedGraph
+from contactgraph.bodies.pins import pin_geometry, pinned, with_pins_held
+from contactgraph.bodies.planes import (
+    Sliding,
+    hull_sliding,
+    meets_plane,
+    on_planes,
+    plane_geometry,
+    weighed_down,
+)
 from contactgraph.dynamics.actuation import Actuation, actuated_slots
 from contactgraph.dynamics.body_types import PACE, BodyTypes
 from contactgraph.dynamics.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.dynamics.free_bodies import FreeBodies, lifted_fraction
+from contactgraph.dynamics.free_bodies import SLOW, FreeBodies, lifted_fraction
 from contactgraph.dynamics.hinges import coupling_starts, with_hinge_springs
 from contactgraph.dynamics.linear_dynamics import SpringMassDamper
 
@@ -133,11 +140,9 @@ class ContactLaw(BodyTypes):
                 displaced, graph, theta=theta, dt=dt
             )
         contacts = self._contacts(braked, message, theta=theta, dt=dt)
-        pins = pin_joints(nodes, graph.bodies.turns, mass, self.turn_length)
-        if pins is not None:
-            motion_until = dt * (braked.bodies.velocity + theta * displaced)
-            joints = pins.geometry(graph.bodies.position, braked.bodies.velocity, motion_until)
-            contacts = contacts.and_also(pin_contacts(pins, joints))
+        motion_until = dt * (braked.bodies.velocity + theta * displaced)
+        pins = pin_geometry(braked.bodies, motion_until, self.turn_length)
+        contacts = contacts.and_also(pin_contacts(pins))
         lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
         on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
         if nodes.gravity is not None:
@@ -165,7 +170,7 @@ class ContactLaw(BodyTypes):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            patch=Patch.of(nodes.outlines, nodes.gravity, graph.bodies.position, self.turn_length),
+            sliding=self._sliding(graph.bodies),
         )
         if self.identified:
             contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
@@ -242,6 +247,7 @@ class ContactLaw(BodyTypes):
             bounce=bounce,
             friction=friction,
             until_impact=theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
+            pinned=jnp.zeros_like(touch),
         )
 
     def _plane_contacts(
@@ -251,16 +257,7 @@ class ContactLaw(BodyTypes):
         velocity if they do not touch."""
         motion = dt * (graph.bodies.velocity + driven)
         distance = self._plane_distance(graph.bodies.node_type)
-        geometry = plane_geometry(
-            graph.bodies.nodes,
-            position=graph.bodies.position,
-            velocity=graph.bodies.velocity,
-            motion=motion,
-            distance=distance,
-            turns=graph.bodies.turns,
-            turn_length=self.turn_length,
-            length=self.length,
-        )
+        geometry = plane_geometry(graph.bodies, motion, distance, self.turn_length, self.length)
         bounce, friction = self.laws(graph.bodies.node_type, geometry.edge_index[0])
         return plane_contacts(
             geometry,
@@ -270,6 +267,13 @@ class ContactLaw(BodyTypes):
             displacing_fraction=self._displacing(geometry, theta),
             averaged=self.averaged,
         )
+
+    def _sliding(self, bodies: Bodies) -> Sliding | None:
+        """Of hulls that a ground bears in space, see `FreeBodies.sliding`."""
+        if bodies.nodes.gravity is None or bodies.position.shape[1] != 6:
+            return None
+        assert self.turn_length is not None
+        return hull_sliding(bodies, self.turn_length, SLOW * self.speed)
 
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.
@@ -303,12 +307,13 @@ def plane_contacts(
         bounce=closing * bounce,
         friction=friction,
         until_impact=geometry.time_of_impact * (1.0 - averaged),
+        pinned=nothing,
     )
 
 
-def pin_contacts(pins: PinJoints, geometry: Geometry) -> Contacts:
-    """Contacts that always act, in all directions, at the `PinJoints.geometry`."""
-    exists = pins.exists.astype(geometry.distance.dtype)
+def pin_contacts(geometry: Geometry) -> Contacts:
+    """Contacts that always act, in all directions, at the `pin_geometry`."""
+    exists = pinned(geometry)
     nothing = jnp.zeros_like(exists)
     return Contacts(
         geometry=geometry,

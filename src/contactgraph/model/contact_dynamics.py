@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from contactgraph.bodies.geometry import Geometry, Joined, geometry, travel_bound
+from contactgraph.bodies.geometry import Geometry, Meeting, Rows, geometry, travel_bound
 from contactgraph.bodies.graph import (
     Bodies,
     EdgeList,
@@ -22,7 +22,6 @@ from contactgraph.bodies.graph import (
     edge_count,
     edge_nodes,
 )
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.trajectory_batch import Nodes
@@ -155,9 +154,7 @@ class ContactDynamics(eqx.Module):
             bodies=bodies,
             control=control,
             control_displacement=displacement,
-            geometry=edge_geometry,
             contact_points=points,
-            meeting=meeting,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,
@@ -192,7 +189,7 @@ class ContactDynamics(eqx.Module):
         jacobian = jnp.ones((2, 0, self.dimension, size))
         if meeting is not None:  # The nearest places of all edges come first.
             jacobian = meeting.contact_jacobian[:, : edge_index.shape[1]]
-        held = Joined(edge_index, jacobian)
+        held = Rows(edge_index, jacobian)
         holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
         displacement = self.local_dynamics.control_displacement(
             bodies,
@@ -294,7 +291,6 @@ class ContactDynamics(eqx.Module):
             there = dataclasses.replace(
                 graph,
                 bodies=bodies,
-                geometry=points.first(len(graph.active)),
                 contact_points=points,
                 control_displacement=None,
             )

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.inference.contact_belief import (
@@ -133,7 +133,7 @@ def edge_log_ratios(
             graph.control,
             bodies.nodes,
             types,
-            graph.meeting,
+            graph.contact_points,
         )
 
     edge_types = joint.shape[-1]

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph, edge_count
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.dynamics.linear_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.inference.motion_noise import Motion
