@@ -193,7 +193,10 @@ def geometry(
     touching = touching + 0.5 * (1.0 - time_of_contact) * across
     normal = touching / _norm(touching)[:, None]
     return Geometry(
-        **vars(meeting),
+        edge_index=meeting.edge_index,
+        contact_jacobian=meeting.contact_jacobian,
+        displacement=displacement,
+        sliding=meeting.sliding,
         relative_velocity=meeting.relative(velocity),
         distance=distance,
         direction=displacement / distance[:, None],
