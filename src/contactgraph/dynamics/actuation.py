@@ -171,8 +171,7 @@ def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
 def within_reach(end: Float[Array, "N D"], graph: EncodedGraph) -> Float[Array, "N D"]:
     """The place, m, nearest to the ``end`` of a step that is in a node's reach, or not farther
     outside than the node is."""
-    bounds, position = graph.bodies.nodes.reach, graph.bodies.position
-    assert bounds is not None
+    bounds, position = jnp.asarray(graph.bodies.nodes.reach), graph.bodies.position
     turn = ((0, 0), (0, 0), (0, position.shape[1] - bounds.shape[2]))
     bounds = jnp.pad(bounds, turn, constant_values=jnp.nan)
     low = jnp.where(jnp.isnan(bounds[:, 0]), -jnp.inf, jnp.minimum(bounds[:, 0], position))

@@ -125,27 +125,18 @@ class BodyTypes(eqx.Module):
         matrix = MassMatrix(mass[:, :size], damper_of(holds), held)
         return theta * dt**2 * solve(matrix, (mass * free)[..., None], capacity).solution[..., 0]
 
-    def retract(
-        self,
-        bodies: Bodies,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        *,
-        theta: Array,
-        dt: float,
-    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
-        """Position [m] and velocity [m/s] after a step, from those of linear dynamics: turns in
-        space are composed, and the points of each pin brought together."""
+    def retract(self, before: Bodies, after: Bodies, *, theta: Array, dt: float) -> Bodies:
+        """The bodies after a step, from those by linear dynamics: turns in space are composed, and
+        the points of each pin brought together."""
         if self.turn_length is None:
-            return position, velocity
-        if position.shape[1] == 6:
-            position = stepped_turns(bodies.position, position, self.turn_length)
-        if bodies.nodes.pins is None:
-            return position, velocity
-        mass = self._coordinate_mass(bodies, self.actuation(bodies, theta, dt))
-        after = bodies._replace(position=position, velocity=velocity)
-        after = with_closed_pins(after, mass, self.turn_length)
-        return after.position, after.velocity
+            return after
+        if after.position.shape[1] == 6:
+            place = stepped_turns(before.position, after.position, self.turn_length)
+            after = after._replace(position=place)
+        if before.nodes.pins is None:
+            return after
+        mass = self._coordinate_mass(before, self.actuation(before, theta, dt))
+        return with_closed_pins(after, mass, self.turn_length)
 
     def _coordinate_mass(self, bodies: Bodies, motion: ActuatedMotion) -> Float[Array, "N G"]:
         """kg; of every coordinate of every node, with what a servo adds."""

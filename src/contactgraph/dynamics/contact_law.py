@@ -124,15 +124,15 @@ class ContactLaw(BodyTypes):
         dt: float,
     ) -> SpringMassDamper:
         """Parameters of every node at one step of ``dt`` [s] with the implicitness ``theta``."""
-        nodes, node_type = graph.bodies.nodes, graph.bodies.node_type
-        velocity, (count, coordinates) = graph.bodies.velocity, graph.bodies.position.shape
-        dimension = self.actuation.dimension
-        motion = self.actuation(graph.bodies, theta, dt)
-        mass = self._coordinate_mass(graph.bodies, motion)
+        bodies, nodes = graph.bodies, graph.bodies.nodes
+        count, coordinates = bodies.position.shape
+        dimension, described = self.actuation.dimension, nodes.planes is not None
+        motion = self.actuation(bodies, theta, dt)
+        mass = self._coordinate_mass(bodies, motion)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # By the control in the step, until contacts hinder it.
-        displaced, braked = jnp.zeros_like(velocity), graph
+        displaced, braked = jnp.zeros_like(bodies.velocity), graph
         if graph.control_displacement is not None:
             displaced = graph.control_displacement / (theta * dt)
         if nodes.reach is not None:
@@ -143,24 +143,25 @@ class ContactLaw(BodyTypes):
         motion_until = dt * (braked.bodies.velocity + theta * displaced)
         pins = pin_geometry(braked.bodies, motion_until, self.turn_length)
         contacts = contacts.and_also(pin_contacts(pins))
-        lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
-        on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
+        lifted, capacity = nodes.actuated.astype(mass.dtype), graph.group_capacity
+        on_ground, falls = jnp.ones(count), jnp.zeros_like(bodies.velocity)
         if nodes.gravity is not None:
             holding = with_pins_held(contacts.holding[: len(graph.active)], pins, graph.geometry)
             lifted = lifted_fraction(lifted, holding, graph.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
-            falling = lifted * (1.0 - nodes.actuated) if nodes.planes is None else nodes.passive
+            falling = nodes.passive if described else lifted * (1.0 - nodes.actuated)
             gravity = jnp.pad(nodes.gravity, (0, coordinates - dimension))
             on_ground, falls = 1.0 - lifted, falling[:, None] * gravity
-        edges = len(contacts.damper)
-        if nodes.planes is not None:
+        of_edges = len(contacts.damper)
+        if described:
             # What is held goes with the hand, and falls on no plane.
-            meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
-            planes = self._plane_contacts(braked, meeting, theta=theta, dt=dt)
+            driven = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
+            planes = self._plane_contacts(braked.bodies, driven, theta=theta, dt=dt)
             contacts = contacts.and_also(planes)
-            on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
-        damper, slowing = (on_ground * each for each in self.slowing(node_type))
-        bodies = FreeBodies(
+            if nodes.gravity is not None:
+                on_ground = on_planes(planes.geometry, nodes)
+        damper, slowing = (on_ground * each for each in self.slowing(bodies.node_type))
+        free = FreeBodies(
             mass=mass,
             velocity=braked.bodies.velocity,
             ground_damper=dt * damper,
@@ -170,14 +171,14 @@ class ContactLaw(BodyTypes):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            sliding=self._sliding(graph.bodies),
+            sliding=self._sliding(bodies),
         )
         if self.identified:
-            contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
-        elif nodes.planes is not None:  # from which a hand may lift what it holds
-            on_plane = jnp.arange(len(contacts.damper)) >= edges
-            contacts = contacts.pushing(bodies, dt, capacity, on_plane)
-        solution = contacts.solve(bodies, dt, capacity, self.rough)
+            contacts = contacts.pushed_out(dt).pushing(free, dt, capacity)
+        elif described:  # from a plane a hand may lift what it holds
+            on_plane = jnp.arange(len(contacts.damper)) >= of_edges
+            contacts = contacts.pushing(free, dt, capacity, on_plane)
+        solution = contacts.solve(free, dt, capacity, self.rough)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(
                 solution, displaced, slots, graph, braked, theta=theta, dt=dt
@@ -251,21 +252,29 @@ class ContactLaw(BodyTypes):
         )
 
     def _plane_contacts(
-        self, graph: EncodedGraph, driven: Float[Array, "N D"], *, theta: Array, dt: float
+        self, bodies: Bodies, driven: Float[Array, "N D"], *, theta: Array, dt: float
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        motion = dt * (graph.bodies.velocity + driven)
-        distance = self._plane_distance(graph.bodies.node_type)
-        geometry = plane_geometry(graph.bodies, motion, distance, self.turn_length, self.length)
-        bounce, friction = self.laws(graph.bodies.node_type, geometry.edge_index[0])
-        return plane_contacts(
-            geometry,
-            softness=_ONE_SIDED * self.length,
-            bounce=bounce,
-            friction=friction,
+        motion, distance = dt * (bodies.velocity + driven), self._plane_distance(bodies.node_type)
+        geometry = plane_geometry(bodies, motion, distance, self.turn_length, self.length)
+        closing = meets_plane(geometry) * jax.nn.sigmoid(
+            geometry.approach / (_ONE_SIDED * self.length)
+        )
+        bounce, friction = self.laws(bodies.node_type, geometry.edge_index[0])
+        nothing = jnp.zeros_like(closing)
+        return Contacts(
+            geometry=geometry,
+            damper=damper_of(closing),
+            spring=nothing,
+            rest_length=nothing,
+            touching=nothing + 1.0,
             displacing_fraction=self._displacing(geometry, theta),
-            averaged=self.averaged,
+            acting=1.0 - geometry.time_of_impact * self.averaged,
+            bounce=closing * bounce,
+            friction=friction,
+            until_impact=geometry.time_of_impact * (1.0 - self.averaged),
+            pinned=nothing,
         )
 
     def _sliding(self, bodies: Bodies) -> Sliding | None:
@@ -278,37 +287,6 @@ class ContactLaw(BodyTypes):
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.
         return (1.0 - self.averaged) * (geometry.fraction_after_impact - theta)
-
-
-def plane_contacts(
-    geometry: Geometry,
-    *,
-    softness: float,
-    bounce: Float[Array, " C"],
-    friction: Float[Array, " C"],
-    displacing_fraction: Float[Array, " C"],
-    averaged: bool,
-) -> Contacts:
-    """Touches of a `plane_geometry`, with these coefficients of ``bounce`` and ``friction``.
-
-    They act where a node approaches by more than about ``softness`` [m]; ``averaged``: see
-    `ContactLaw`.
-    """
-    closing = meets_plane(geometry) * jax.nn.sigmoid(geometry.approach / softness)
-    nothing = jnp.zeros_like(closing)
-    return Contacts(
-        geometry=geometry,
-        damper=damper_of(closing),
-        spring=nothing,
-        rest_length=nothing,
-        touching=nothing + 1.0,
-        displacing_fraction=displacing_fraction,
-        acting=1.0 - geometry.time_of_impact * averaged,
-        bounce=closing * bounce,
-        friction=friction,
-        until_impact=geometry.time_of_impact * (1.0 - averaged),
-        pinned=nothing,
-    )
 
 
 def pin_contacts(geometry: Geometry) -> Contacts:

@@ -82,8 +82,8 @@ class SpringMassDamper(eqx.Module):
     """m/s; where the damper is at rest."""
     impact_displacement: Float[Array, "*T N D"]
     """m; by an impact within the step."""
-    acceleration: Float[Array, "*T N D"] | None = None
-    """a, m/s^2, by constant forces such as weight. None: there are none."""
+    acceleration: Float[Array, "*T N D"]
+    """a, m/s^2, by constant forces such as weight."""
 
     @property
     def inverse_mass(self) -> Float[Array, "*T N D"]:
@@ -121,6 +121,7 @@ def from_physical(
         equilibrium=equilibrium,
         equilibrium_velocity=still,
         impact_displacement=still,
+        acceleration=still,
     )
 
 

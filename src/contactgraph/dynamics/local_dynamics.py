@@ -57,9 +57,7 @@ class ThetaMethod(eqx.Module):
         A12 = dt * (explicit + theta * A22)
         B2 = parameters.response * dt / den[..., None]
         pull = spring * parameters.equilibrium + damper * parameters.equilibrium_velocity
-        if parameters.acceleration is not None:
-            pull = pull + dt * parameters.acceleration
-        offset2 = pull / den
+        offset2 = (pull + dt * parameters.acceleration) / den
         A = jnp.stack([jnp.stack([A11, A12], -1), jnp.stack([A21, A22], -1)], -2)
         B = jnp.stack([theta * dt * B2, B2], -2)
         offset = jnp.stack([theta * dt * offset2 + parameters.impact_displacement, offset2], -1)
@@ -77,15 +75,9 @@ class WithoutContacts(eqx.Module):
         """See `ContactLaw.control_displacement`; None: it is left out of account."""
         return None
 
-    def retract(
-        self,
-        bodies: Bodies,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        **step: Any,
-    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+    def retract(self, before: Bodies, after: Bodies, **step: Any) -> Bodies:
         """See `ContactLaw.retract`: as they are."""
-        return position, velocity
+        return after
 
 
 class LocalDynamics(WithoutContacts):
@@ -127,13 +119,6 @@ class SpringMassDamperDynamics(LocalDynamics):
         """See `ContactLaw.control_displacement`."""
         return self.head.control_displacement(*step, **further, theta=self.discretization.theta)
 
-    def retract(
-        self,
-        bodies: Bodies,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        **step: Any,
-    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
+    def retract(self, before: Bodies, after: Bodies, **step: Any) -> Bodies:
         """See `ContactLaw.retract`."""
-        theta = self.discretization.theta
-        return self.head.retract(bodies, position, velocity, theta=theta, **step)
+        return self.head.retract(before, after, theta=self.discretization.theta, **step)

@@ -267,11 +267,13 @@ class ContactDynamics(eqx.Module):
             linear = self.local_dynamics(graph, self.dt)
         else:
             linear = self._in_substeps(graph)
-        moved = linear(graph.bodies.position, graph.bodies.velocity, graph.control)
-        kept = self.local_dynamics.retract(graph.bodies, *moved, dt=self.dt)
-        if kept[0] is moved[0] and kept[1] is moved[1]:
+        bodies = graph.bodies
+        position, velocity = linear(bodies.position, bodies.velocity, graph.control)
+        after = bodies._replace(position=position, velocity=velocity)
+        kept = self.local_dynamics.retract(bodies, after, dt=self.dt)
+        if kept is after:
             return linear
-        off = jnp.stack([kept[0] - moved[0], kept[1] - moved[1]], axis=-1)
+        off = jnp.stack([kept.position - position, kept.velocity - velocity], axis=-1)
         return dataclasses.replace(linear, offset=linear.offset + off)
 
     def _in_substeps(self, graph: EncodedGraph) -> LinearDynamics:
@@ -279,14 +281,15 @@ class ContactDynamics(eqx.Module):
         start, still = graph.bodies, jnp.zeros_like(graph.control)
 
         def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
-            at = done(start.position, start.velocity, still)
-            at = self.local_dynamics.retract(start, *at, dt=dt)
+            position, velocity = done(start.position, start.velocity, still)
+            after = start._replace(position=position, velocity=velocity)
+            after = self.local_dynamics.retract(start, after, dt=dt)
             # Through all contacts of a rollout, each of which begins within a hair, gradients
             # overflow.
-            at = jax.lax.stop_gradient(at)
-            meeting = self.features.meeting(start.nodes, at[0], graph.geometry.edge_index)
+            position, velocity = jax.lax.stop_gradient((after.position, after.velocity))
+            bodies = start._replace(position=position, velocity=velocity)
+            meeting = self.features.meeting(start.nodes, position, graph.geometry.edge_index)
             touch = graph.geometry.contact_distance
-            bodies = start._replace(position=at[0], velocity=at[1])
             points = self._contact_points(bodies, dt, touch, meeting, None)
             there = dataclasses.replace(
                 graph,

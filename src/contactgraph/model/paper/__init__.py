@@ -210,6 +210,7 @@ class PerDegreeHead(WithoutContacts):
             equilibrium=origin + out[:, 3],
             equilibrium_velocity=jnp.zeros_like(origin),
             impact_displacement=jnp.zeros_like(origin),
+            acceleration=jnp.zeros_like(origin),
         )
 
 
