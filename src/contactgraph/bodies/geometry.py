@@ -121,6 +121,11 @@ class Geometry(Meeting):
     contact_distance: Float[Array, " C"]
     """m, of the two when they touch, centre to centre or to a bar's middle line."""
 
+    @property
+    def meeting(self) -> Meeting:
+        """The part that positions alone tell."""
+        return Meeting(self.edge_index, self.contact_jacobian, self.displacement, self.sliding)
+
     def along(self, across: Float[Array, " E"]) -> "Geometry":
         """The same, with only that share of each row's velocities across its normal.
 

@@ -32,8 +32,7 @@ def plane_geometry(
     0; that of the first is 0, too, unless the two meet in the step. With a ``turn_length`` [m]
     bodies have outlines, and each has `plane_points`: see `polygon_meeting`.
     """
-    position, nodes, planes = bodies.position, bodies.nodes, bodies.nodes.planes
-    assert planes is not None
+    position, nodes, planes = bodies.position, bodies.nodes, jnp.asarray(bodies.nodes.planes)
     dimension = planes.shape[1] - 1
     # Rows are those of the first node first, then of its first plane.
     if turn_length is None:

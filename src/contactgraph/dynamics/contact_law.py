@@ -279,9 +279,9 @@ class ContactLaw(BodyTypes):
 
     def _sliding(self, bodies: Bodies) -> Sliding | None:
         """Of hulls that a ground bears in space, see `FreeBodies.sliding`."""
-        if bodies.nodes.gravity is None or bodies.position.shape[1] != 6:
+        in_space = bodies.position.shape[1] == 6
+        if not in_space or self.turn_length is None or bodies.nodes.gravity is None:
             return None
-        assert self.turn_length is not None
         return hull_sliding(bodies, self.turn_length, SLOW * self.speed)
 
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:

@@ -53,7 +53,7 @@ class JudgedSteps(eqx.Module):
     unhindered: Motion
     """[B, L, N, D] m and m/s; where each step would lead without edges."""
     meeting: Meeting | None
-    """[B, L, ...] `EncodedGraph.contact_points`. None: to be found again."""
+    """[B, L, ...] `Geometry.meeting` of `EncodedGraph.contact_points`. None: to be found again."""
     masses: MassBelief | None = None
     """[B, N] by the motion of all steps. None: bodies of a type weigh alike."""
 
@@ -151,7 +151,7 @@ def _judge_steps(model: ContactDynamics, windows: Window, devices: int) -> Judge
     ratio = steps.each(judge, graph, steps.after)
     types = jax.vmap(likeliest_types)(graph.prior, ratio)
     before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
-    return JudgedSteps(before, ratio, graph.prior, types, unhindered, graph.contact_points)
+    return JudgedSteps(before, ratio, graph.prior, types, unhindered, graph.contact_points.meeting)
 
 
 class JudgedTrajectories(eqx.Module):
