@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from contactgraph.dynamics.linear_dynamics import own_component
+from contactgraph.dynamics.local_dynamics import own_component
 from contactgraph.model import (
     LinearDynamics,
     SpringMassDamper,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from contactgraph.bodies.graph import Bodies, EncodedGraph
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.free_bodies import ContactMotion
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""

@@ -24,7 +24,7 @@ from contactgraph.dynamics.body_types import PACE, BodyTypes
 from contactgraph.dynamics.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.dynamics.free_bodies import SLOW, FreeBodies, lifted_fraction
 from contactgraph.dynamics.hinges import coupling_starts, with_hinge_springs
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""

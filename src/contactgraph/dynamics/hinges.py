@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from contactgraph.bodies.geometry import Geometry, sum_at_nodes
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6

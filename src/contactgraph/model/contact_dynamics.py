@@ -26,8 +26,12 @@ from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.data.turns import coordinate_count
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper
-from contactgraph.dynamics.local_dynamics import LocalDynamics, SpringMassDamperDynamics
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    SpringMassDamperDynamics,
+)
 from contactgraph.inference.contact_belief import (
     ArgmaxSample,
     ContactBelief,

@@ -22,8 +22,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.message_passing import EdgeNetwork
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
-from contactgraph.dynamics.local_dynamics import LocalDynamics, ThetaMethod
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    ThetaMethod,
+    own_component,
+)
 
 _SOFT = 0.1
 """Factor on the first outputs of a law's network: relations start weak, and must earn more."""

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph, edge_count
-from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.dynamics.local_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.contact_dynamics import ContactDynamics

@@ -10,8 +10,13 @@ from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
-from contactgraph.dynamics.local_dynamics import LocalDynamics, WithoutContacts
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    WithoutContacts,
+    own_component,
+)
 from contactgraph.inference.contact_belief import ContactBelief, without_change
 from contactgraph.inference.edge_inference import EdgeInference
 from contactgraph.inference.features import Features
