@@ -43,7 +43,7 @@ class RubbingLaw(ContactLaw):
         sliding = geometry.relative_velocity - normal * geometry.direction
         force = self.coefficient * active[:, None] * sliding
         friction = sum_at_nodes(
-            jnp.stack([force, -force]), geometry.edge_index, len(graph.position)
+            jnp.stack([force, -force]), geometry.edge_index, len(graph.bodies.position)
         )
         return dataclasses.replace(parameters, acceleration=parameters.acceleration + friction)
 

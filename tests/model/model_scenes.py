@@ -44,6 +44,7 @@ def geometry_of(
     return geometry(
         meeting(position, edge_index, anchor, half_size).with_fixed(static),
         velocity=velocity,
+        coasting=velocity,
         dt=dt,
         contact_distance=contact_distance,
         control_displacement=control_displacement,

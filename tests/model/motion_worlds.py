@@ -33,7 +33,7 @@ class RigidGroups(WithoutContacts):
     message_passing: _NoMessages = dataclasses.field(default_factory=_NoMessages)
 
     def __call__(self, graph, dt):
-        (N, D), control_size = graph.position.shape, len(graph.control)
+        (N, D), control_size = graph.bodies.position.shape, len(graph.control)
         first, second = pair_indices(N).T
         active = jnp.sum(graph.active, axis=-1) > 0.5
         group = jnp.eye(N).at[first, second].set(active).at[second, first].set(active)
@@ -41,14 +41,14 @@ class RigidGroups(WithoutContacts):
         for _ in range(N):
             group = jnp.minimum(group @ group, 1.0)
         share = group / jnp.sum(group, axis=1, keepdims=True)
-        jump = share @ graph.velocity - graph.velocity
-        inverse = jnp.broadcast_to((share @ graph.nodes.actuated)[:, None], (N, D))
+        jump = share @ graph.bodies.velocity - graph.bodies.velocity
+        inverse = jnp.broadcast_to((share @ graph.bodies.nodes.actuated)[:, None], (N, D))
         one, zero = jnp.ones((N, D)), jnp.zeros((N, D))
         A = jnp.stack([jnp.stack([one, dt * one], -1), jnp.stack([zero, one], -1)], -2)
         push = jnp.stack([dt**2 * inverse, dt * inverse], -1)
         B = push[..., None] * jnp.eye(D, control_size)[:, None, :]
         offset = jnp.stack([dt * jump, jump], -1)
-        kind = graph.position.dtype
+        kind = graph.bodies.position.dtype
         return LinearDynamics(A.astype(kind), B.astype(kind), offset.astype(kind))
 
 

@@ -154,6 +154,7 @@ def moved(
         bounce=nothing,
         friction=nothing,
         until_impact=nothing,
+        pinned=nothing,
     )
     motion = contacts.solve(bodies, DT, None, rough=False)
     pulled = motion.acceleration + motion.response @ control

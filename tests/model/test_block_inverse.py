@@ -45,7 +45,7 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
 
     def by(solve):
         def total(node, stiff, edge_jacobian, vectors):
-            edge_geometry = dataclasses.replace(matrix.geometry, contact_jacobian=edge_jacobian)
+            edge_geometry = dataclasses.replace(matrix.rows, contact_jacobian=edge_jacobian)
             solved = solve(MassMatrix(node, stiff, edge_geometry), vectors)
             weights = jnp.arange(1.0, 1.0 + solved.solution.size).reshape(solved.solution.shape)
             share = jnp.arange(1.0, COUNT + 1.0)[:, None]
@@ -53,7 +53,7 @@ def test_values_and_derivatives_are_those_of_the_whole(hinges: bool) -> None:
                 share * solved.diagonal
             ), solved
 
-        arguments = (matrix.node, matrix.edge, matrix.geometry.contact_jacobian, vectors)
+        arguments = (matrix.node, matrix.edge, matrix.rows.contact_jacobian, vectors)
         return jax.jit(jax.grad(total, argnums=(0, 1, 2, 3), has_aux=True))(*arguments)
 
     derivatives, solved = by(solve_dense)

@@ -64,6 +64,7 @@ def solution(
         bounce=nothing,
         friction=nothing,
         until_impact=nothing,
+        pinned=nothing,
     )
     return contacts.solve(bodies, DT, None, not smooth)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from model_scenes import geometry_of
 
+from contactgraph.bodies.graph import Bodies
 from contactgraph.bodies.planes import plane_geometry
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
@@ -48,6 +49,7 @@ def stepped(
         bounce=bounce * meets,
         friction=nothing + friction,
         until_impact=nothing,
+        pinned=nothing,
     )
     push, slowing = (mass[:, None] * pushed)[..., None], 0.0 * mass + deceleration
     zero = jnp.zeros((count, 2, 1))
@@ -243,13 +245,8 @@ def over_a_plane(position, velocity, bounce=0.0, lift=0.0) -> tuple[Contacts, Fr
     nodes = jax.tree.map(jnp.asarray, nodes)
     weight = jnp.array([[0.0, -9.81 * DT]])
     motion = DT * (velocity + weight)
-    found = plane_geometry(
-        nodes,
-        position=position,
-        velocity=velocity,
-        motion=motion,
-        distance=jnp.array([0.05]),
-    )
+    bodies = Bodies(position, velocity, nodes, jnp.ones((1, 1)), jnp.zeros(1))
+    found = plane_geometry(bodies, motion, jnp.array([0.05]))
     meets = jnp.any(found.contact_jacobian[0] != 0.0, axis=(1, 2)).astype(float)
     nothing = jnp.zeros(2)
     contacts = Contacts(
@@ -263,6 +260,7 @@ def over_a_plane(position, velocity, bounce=0.0, lift=0.0) -> tuple[Contacts, Fr
         bounce=bounce * meets,
         friction=nothing,
         until_impact=nothing,
+        pinned=nothing,
     )
     forces = weight[..., None] / DT, jnp.zeros((1, 2, 1)), (weight + lift * UP)[..., None]
     alone = jnp.ones((1, 2)), velocity, jnp.zeros(1), jnp.zeros(1)

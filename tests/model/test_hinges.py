@@ -165,9 +165,7 @@ def scene(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 def circles(hold, slip: float = 0.0) -> HingeConstraint:
     states = [jnp.asarray(values) for values in scene(slip)]
     edges = jitted_geometry(*states, jnp.asarray(PAIRS).T, 0.05, 0.08, anchor=jnp.asarray(ANCHORS))
-    return jitted_constraint(
-        jnp.asarray(ANCHORS), *states, np.array(hold), edges.edge_index, edges.relative_velocity
-    )
+    return jitted_constraint(jnp.asarray(ANCHORS), *states, np.array(hold), edges)
 
 
 @pytest.mark.slow

@@ -12,11 +12,11 @@ import pytest
 from model_scenes import follow, slippery_bodies
 from scipy.spatial.transform import Rotation
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.planes import plane_points
 from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data import Scene, generalized_coordinates
 from contactgraph.data.outlines import hull_rows, outline_moments
 from contactgraph.data.trajectory_batch import pad_nodes
@@ -295,8 +295,9 @@ def test_places_that_are_known_are_not_found_again() -> None:
         return encode(model(), position, velocity, jnp.zeros(0), nodes, nothing_active(3), meeting)
 
     graph = encoded(None)
-    known = encoded(graph.meeting)
-    moved = encoded(graph.meeting._replace(displacement=2.0 * graph.meeting.displacement))
+    known = encoded(graph.contact_points)
+    points = graph.contact_points
+    moved = encoded(replace(points, displacement=2.0 * points.displacement))
     np.testing.assert_array_equal(known.geometry.distance, graph.geometry.distance)
     assert moved.geometry.distance[0] > 1.5 * graph.geometry.distance[0]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from contactgraph.dynamics.linear_dynamics import own_component
+from contactgraph.dynamics.local_dynamics import own_component
 from contactgraph.model import (
     LinearDynamics,
     SpringMassDamper,
@@ -78,7 +78,7 @@ def test_a_step_by_hand() -> None:
 @pytest.mark.parametrize("learned", [True, False])
 def test_derivatives_of_the_theta_method(learned) -> None:
     def moved(response, k, c, rest, rest_velocity, shift, raw):
-        parameters = SpringMassDamper(response, k, c, rest, rest_velocity, shift)
+        parameters = SpringMassDamper(response, k, c, rest, rest_velocity, shift, 0.0 * k)
         method = ThetaMethod(0.6, learned=learned)
         method = jax.tree.map(lambda leaf: leaf + raw, method)
         return jax.tree.leaves(method(parameters, 0.05))
@@ -93,7 +93,7 @@ def test_derivatives_of_the_theta_method(learned) -> None:
 
 def test_a_weightless_control_has_finite_physical_parameters() -> None:
     zero, one = jnp.zeros((1, 2)), jnp.ones((1, 2))
-    parameters = SpringMassDamper(own_component(zero, 2), one, one, zero, zero, zero)
+    parameters = SpringMassDamper(own_component(zero, 2), one, one, zero, zero, zero, zero)
     assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
 
 

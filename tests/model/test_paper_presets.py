@@ -119,9 +119,10 @@ def test_the_equilibrium_is_relative_to_the_hinge_if_any() -> None:
     free = parameters_of(graph, embedding, message)
     hinge = jnp.array([2.0, -1.0])
     anchor = jnp.full((COUNT, 2), jnp.nan).at[1].set(hinge)
-    hinged = dataclasses.replace(graph, nodes=graph.nodes._replace(anchor=anchor))
+    nodes = graph.bodies.nodes._replace(anchor=anchor)
+    hinged = dataclasses.replace(graph, bodies=graph.bodies._replace(nodes=nodes))
     hung = parameters_of(hinged, embedding, message)
     moved = hung.equilibrium - free.equilibrium
-    np.testing.assert_allclose(moved[1], hinge - graph.position[1], atol=1e-6)
+    np.testing.assert_allclose(moved[1], hinge - graph.bodies.position[1], atol=1e-6)
     np.testing.assert_array_equal(moved[jnp.array([0, 2])], 0.0)
     assert np.all(np.isfinite(hung.equilibrium))

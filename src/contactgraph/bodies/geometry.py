@@ -2,14 +2,12 @@
 
 import dataclasses
 import math
-from typing import NamedTuple, Protocol
+from typing import Self, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
-
-from contactgraph.bodies.shapes import Meeting
 
 _MIN_SQUARE = 1e-12
 _PRODUCT_NODES = 32
@@ -26,75 +24,112 @@ _CHORDS = 8
 0.1 mm away from them."""
 
 
-class Rows(Protocol):
-    """Pairs of bodies, and what moves where they meet: a `Meeting`, or its `Geometry`."""
-
-    @property
-    def edge_index(self) -> Int[Array, "2 C"]:
-        """Both bodies."""
-
-    @property
-    def contact_jacobian(self) -> Float[Array, "2 C d c"]:
-        """See `Geometry`."""
+Module = TypeVar("Module", bound=eqx.Module)
 
 
-class Joined(NamedTuple):
-    """Rows by themselves."""
+class Rows(eqx.Module):
+    """Pairs of bodies, and what moves where they meet, a row each: the linear map J."""
 
     edge_index: Int[Array, "2 C"]
-    """Both bodies."""
+    """First and second body."""
     contact_jacobian: Float[Array, "2 C d c"]
-    """See `Geometry`."""
+    """Maps the velocities of both bodies to their velocities at the point of contact; D by D where
+    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for one that never moves."""
 
+    def relative(self, x: Float[Array, "N c ..."]) -> Float[Array, "C d ..."]:
+        """J x: the difference of the second and the first bodies, at the points of contact."""
+        at_ends = x[self.edge_index]
+        if self.contact_jacobian.shape[-1] > 1:
+            at_ends = jnp.einsum("sedg,seg...->sed...", self.contact_jacobian, at_ends)
+        return at_ends[1] - at_ends[0]
 
-class Geometry(eqx.Module):
-    """Relative position and motion of the two nodes of every edge, relative to the first."""
+    def to_nodes(self, on_rows: Float[Array, "C d k"], count: int) -> Float[Array, "N c k"]:
+        """The transpose of J, for ``count`` nodes."""
+        arriving = jnp.stack([-on_rows, on_rows])
+        if self.contact_jacobian.shape[-1] > 1:
+            arriving = jnp.einsum("seji,sejc->seic", self.contact_jacobian, arriving)
+        return sum_at_nodes(arriving, self.edge_index, count)
 
-    edge_index: Int[Array, "2 E"]
-    """First and second node of each edge."""
-    displacement: Float[Array, "E D"]
-    """From the first to the second node, m; between the closest points where one is hinged, and
-    see `box_displacement` where one is a box."""
-    relative_velocity: Float[Array, "E D"]
-    """Of the second node against the first, m/s, at the point of contact."""
-    distance: Float[Array, " E"]
-    """m"""
-    closest_approach: Float[Array, " E"]
-    """m; the least distance within the step without contact forces."""
-    direction: Float[Array, "E D"]
-    """Unit vector along the displacement."""
-    normal: Float[Array, "E D"]
-    """Unit vector from the first to the second node in the middle of their contact in the step:
-    from their impact, or now where there is none, to the end of the step."""
-    impact_normal: Float[Array, "E D"]
-    """The same at the beginning of that contact."""
-    approach: Float[Array, " E"]
-    """m; along the normal in the step, without contact forces; negative where nodes part."""
-    time_of_impact: Float[Array, " E"]
-    """As a share of the step; 0 where the two nodes do not meet, or touch from the beginning."""
-    fraction_after_impact: Float[Array, " E"]
-    """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two
-    nodes, if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
-    contact_jacobian: Float[Array, "2 E d c"]
-    """Maps the velocities of both nodes to their velocities at the point of contact; D by D where
-    there are hinges, D by G where bodies turn, else ones, 1 by 1. 0 for a node that never moves."""
-    contact_distance: Float[Array, " E"]
-    """m, of the two nodes when they touch, centre to centre or to a bar's middle line."""
+    def dense(self, count: int) -> Float[Array, "Cd Nc"]:
+        """J as one matrix, for ``count`` nodes."""
+        jacobian = self.contact_jacobian
+        first, second = incidence(self.edge_index, count).astype(jacobian.dtype)
+        blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
+        blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
+        return blocks.reshape(jacobian.shape[1] * jacobian.shape[2], count * jacobian.shape[3])
 
-    def first(self, count: int) -> "Geometry":
-        """That of the first ``count`` rows."""
-        by_end = ("edge_index", "contact_jacobian")  # the two ends are the first axis
-        return type(self)(
-            **{
-                name: leaf[:, :count] if name in by_end else leaf[:count]
-                for name, leaf in vars(self).items()
-            }
+    def first(self, count: int) -> Self:
+        """The first ``count`` rows."""
+        return jax.tree_util.tree_map_with_path(
+            lambda path, leaf: leaf[:, :count] if _row_axis(path) else leaf[:count], self
         )
 
-    def along(self, across: Float[Array, " E"]) -> "Geometry":
-        """The same, with only that share of each edge's velocities across its normal.
 
-        An edge with share 0 couples its nodes along the normal alone. Its d is D.
+def joined(one: Module, other: Module) -> Module:
+    """`Rows`, or what contains them, then the others."""
+    return jax.tree_util.tree_map_with_path(
+        lambda path, *leaves: jnp.concatenate(leaves, axis=_row_axis(path)), one, other
+    )
+
+
+def _row_axis(path: tuple) -> int:
+    """The axis of rows in a leaf of `Rows`: the first, but where the two ends are."""
+    return int(getattr(path[-1], "name", None) in ("edge_index", "contact_jacobian"))
+
+
+class Meeting(Rows):
+    """Places at which bodies meet, as their positions tell them."""
+
+    displacement: Float[Array, "C D"]
+    """m; from the first to the second body, between the closest points where one is hinged, and
+    see `box_displacement` where one is a box."""
+    sliding: list[Float[Array, "C D"]]
+    """Directions, unit vectors or 0, in which they slide without coming nearer."""
+
+    def with_fixed(self, static: Bool[Array, " N"] | None) -> Self:
+        """The same, of which nothing that happens moves the ``static`` nodes."""
+        if static is None:
+            return self
+        fixed = static[self.edge_index][..., None, None]
+        jacobian = jnp.where(fixed, 0.0, self.contact_jacobian)
+        return dataclasses.replace(self, contact_jacobian=jacobian)
+
+
+class Geometry(Meeting):
+    """Position and motion in one step of the second body against the first, where they meet."""
+
+    relative_velocity: Float[Array, "C D"]
+    """m/s, at the point of contact."""
+    distance: Float[Array, " C"]
+    """m"""
+    direction: Float[Array, "C D"]
+    """Unit vector along the displacement; the normal of a plane."""
+    closest_approach: Float[Array, " C"]
+    """m; the least distance within the step without contact forces."""
+    normal: Float[Array, "C D"]
+    """Unit vector from the first to the second body in the middle of their contact in the step:
+    from their impact, or now where there is none, to the end of the step."""
+    impact_normal: Float[Array, "C D"]
+    """The same at the beginning of that contact."""
+    approach: Float[Array, " C"]
+    """m; along the normal in the step, without contact forces; negative where bodies part."""
+    time_of_impact: Float[Array, " C"]
+    """As a share of the step; 0 where the two do not meet, or touch from the beginning."""
+    fraction_after_impact: Float[Array, " C"]
+    """One minus the time of impact, as a share of the step in [0, 1]; the impact is where the two,
+    if nothing hindered them, would be a contact distance apart. 0 where they do not meet."""
+    contact_distance: Float[Array, " C"]
+    """m, of the two when they touch, centre to centre or to a bar's middle line."""
+
+    @property
+    def meeting(self) -> Meeting:
+        """The part that positions alone tell."""
+        return Meeting(self.edge_index, self.contact_jacobian, self.displacement, self.sliding)
+
+    def along(self, across: Float[Array, " E"]) -> "Geometry":
+        """The same, with only that share of each row's velocities across its normal.
+
+        A row with share 0 couples its bodies along the normal alone. Its d is D.
         """
         normal = self.normal
         along = normal[:, :, None] * normal[:, None, :]
@@ -105,7 +140,9 @@ class Geometry(eqx.Module):
             jacobian = jnp.einsum("eij,sejk->seik", kept, self.contact_jacobian)
         else:
             jacobian = kept * self.contact_jacobian
-        return dataclasses.replace(self, contact_jacobian=jacobian, relative_velocity=relative)
+        return dataclasses.replace(
+            self, contact_jacobian=jacobian, relative_velocity=relative, sliding=[]
+        )
 
 
 def geometry(
@@ -114,21 +151,18 @@ def geometry(
     velocity: Float[Array, "N G"],
     dt: float,
     contact_distance: Float[Array, "*C"] | float,
+    coasting: Float[Array, "N G"],
     control_displacement: Float[Array, "N G"] | None = None,
-    coasting: Float[Array, "N G"] | None = None,
     speed: float = 1.0,
 ) -> Geometry:
-    """The geometry of rows at one step of ``dt`` [s]; finite where nodes coincide.
+    """The geometry of a meeting at one step of ``dt`` [s]; finite where nodes coincide.
 
     Bodies touch ``contact_distance`` [m] apart, centre to centre: all of them, or each row's. Nodes
-    move at ``velocity`` [m/s], and without contacts at ``coasting`` [m/s] if it is given.
+    move at ``velocity`` [m/s], and without contacts at ``coasting`` [m/s].
     ``control_displacement`` [m] is how far the step's control alone moves them, where known.
     ``speed`` [m/s] is the unit of speeds.
     """
     displacement = meeting.displacement
-
-    def relative(motion: Float[Array, "N G"]) -> Float[Array, "C D"]:
-        return relative_at_edges(motion, meeting)
 
     def approach(motion: Float[Array, "C D"]) -> Float[Array, "C D"]:
         # A point that slides along a bar does not come nearer.
@@ -136,11 +170,10 @@ def geometry(
             motion = motion - along * jnp.sum(along * motion, axis=-1, keepdims=True)
         return motion
 
-    relative_velocity = relative(velocity)
-    drifted = dt * approach(relative_velocity if coasting is None else relative(coasting))
+    drifted = dt * approach(meeting.relative(coasting))
     driven, chords, refinements = jnp.zeros_like(drifted), 1, 1
     if control_displacement is not None:
-        driven, chords = approach(relative(control_displacement)), _CHORDS
+        driven, chords = approach(meeting.relative(control_displacement)), _CHORDS
         refinements = _REFINEMENTS
     time, closest_approach = _closest_approach(displacement, drifted, driven, chords)
     meets, path = jnp.zeros_like(time, bool), drifted
@@ -166,18 +199,19 @@ def geometry(
     normal = touching / _norm(touching)[:, None]
     return Geometry(
         edge_index=meeting.edge_index,
+        contact_jacobian=meeting.contact_jacobian,
         displacement=displacement,
-        relative_velocity=relative_velocity,
+        sliding=meeting.sliding,
+        relative_velocity=meeting.relative(velocity),
         distance=distance,
-        closest_approach=closest_approach,
         direction=displacement / distance[:, None],
+        closest_approach=closest_approach,
         normal=normal,
         impact_normal=impact_normal,
         approach=-jnp.sum(normal * (drifted + driven), axis=-1),
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * impact,
-        contact_jacobian=meeting.contact_jacobian,
-        contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), distance.shape),
+        contact_distance=jnp.broadcast_to(jnp.asarray(contact_distance), time.shape),
     )
 
 
@@ -204,23 +238,24 @@ def along_normals(
     Two bodies are ``distance`` [m] apart along the ``normal``, touch at the ``contact_distance``
     [m], and would move by ``motion`` [m] in the step without contacts.
     """
-    approach = -jnp.sum(normal * relative_at_edges(motion, rows), axis=-1)
+    approach = -jnp.sum(normal * rows.relative(motion), axis=-1)
     time = (distance - contact_distance) / jnp.maximum(approach, _LEAST_APPROACH)
     time = jnp.clip(time, 0.0, 1.0)
     meets = (approach > 0.0) & (time < 1.0)
     return Geometry(
         edge_index=rows.edge_index,
+        contact_jacobian=rows.contact_jacobian,
         displacement=distance[:, None] * normal,
-        relative_velocity=relative_at_edges(velocity, rows),
+        sliding=[],
+        relative_velocity=rows.relative(velocity),
         distance=distance,
-        closest_approach=distance - jnp.maximum(approach, 0.0),
         direction=normal,
+        closest_approach=distance - jnp.maximum(approach, 0.0),
         normal=normal,
         impact_normal=normal,
         approach=approach,
         time_of_impact=jnp.where(meets, time, 0.0),
         fraction_after_impact=(1.0 - time) * meets,
-        contact_jacobian=rows.contact_jacobian,
         contact_distance=contact_distance,
     )
 
@@ -228,15 +263,6 @@ def along_normals(
 def incidence(edge_index: Int[Array, "2 E"], count: int) -> Bool[Array, "2 E N"]:
     """Whether an edge has one of ``count`` nodes as its first or second node."""
     return edge_index[..., None] == jnp.arange(count)
-
-
-def dense_jacobian(rows: Rows, count: int) -> Float[Array, "CD NG"]:
-    """J as one matrix, from the velocities of ``count`` nodes to those of `relative_at_edges`."""
-    jacobian = rows.contact_jacobian
-    first, second = incidence(rows.edge_index, count).astype(jacobian.dtype)
-    blocks = second[:, None, :, None] * jacobian[1][:, :, None, :]
-    blocks = blocks - first[:, None, :, None] * jacobian[0][:, :, None, :]
-    return blocks.reshape(jacobian.shape[1] * jacobian.shape[2], count * jacobian.shape[3])
 
 
 def _closest_approach(
@@ -308,22 +334,6 @@ def travel_bound(
     # A bar's far end is a radius from its middle, and twice as fast.
     radius = jnp.linalg.norm(position - anchor, axis=-1)
     return jnp.where(jnp.isfinite(radius), radius + 2.0 * bound, bound)
-
-
-def relative_at_edges(x: Float[Array, "N d ..."], rows: Rows) -> Float[Array, "E d ..."]:
-    """J x: the difference of the second and first nodes of rows, at the points of contact."""
-    at_ends = x[rows.edge_index]
-    if rows.contact_jacobian.shape[-1] > 1:
-        at_ends = jnp.einsum("sedg,seg...->sed...", rows.contact_jacobian, at_ends)
-    return at_ends[1] - at_ends[0]
-
-
-def to_nodes(on_edges: Float[Array, "E d c"], rows: Rows, count: int) -> Float[Array, "N d c"]:
-    """J^T of values on the rows, for ``count`` nodes."""
-    arriving = jnp.stack([-on_edges, on_edges])
-    if rows.contact_jacobian.shape[-1] > 1:
-        arriving = jnp.einsum("seji,sejc->seic", rows.contact_jacobian, arriving)
-    return sum_at_nodes(arriving, rows.edge_index, count)
 
 
 def sum_at_nodes(

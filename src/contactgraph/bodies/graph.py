@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.geometry import Geometry
-from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution
-from contactgraph.bodies.shapes import Meeting
+from contactgraph.bodies.mass_matrix import GroupCapacity
 from contactgraph.data.graph import pair_count, pair_indices
 from contactgraph.data.trajectory_batch import Nodes
 
@@ -45,17 +44,6 @@ def edge_nodes(edge: Int[Array, " E"], count: int) -> Int[Array, "2 E"]:
     second = second + (pair_count(second + 1) <= edge)
     nodes = jnp.stack([edge - pair_count(second), second])
     return jnp.where(edge < pair_count(count), nodes, 0)
-
-
-class GroupCapacity(Protocol):
-    """Most nodes that contacts couple, directly or through others; it solves group by group."""
-
-    @property
-    def nodes(self) -> int:
-        """That number."""
-
-    def solve(self, matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
-        """As `solve_dense`; NaN where more nodes are coupled."""
 
 
 class EdgeList(Protocol):
@@ -105,24 +93,13 @@ class Bodies(NamedTuple):
 class EncodedGraph(eqx.Module):
     """One step's state, control and graph, before inference and, with cut edges, after it."""
 
-    position: Float[Array, "N D"]
-    """m"""
-    velocity: Float[Array, "N D"]
-    """m/s"""
+    bodies: Bodies
     control: Float[Array, " U"]
-    nodes: Nodes
-    node_type: Float[Array, "N node_types"]
-    """One-hot."""
-    turns: Float[Array, " N"]
-    """1 for bodies that turn, else 0."""
     control_displacement: Float[Array, "N D"] | None
     """m; how far the control alone moves each node, together with what it holds. None: left out of
     account."""
-    geometry: Geometry
     contact_points: Geometry
     """The places at which nodes meet, one or more an edge, the nearest of all edges first."""
-    meeting: Meeting
-    """Those places as the positions tell them."""
     edge_id: Int[Array, " E"] | None
     """`Edges.edge_id`."""
     node_features: Float[Array, "N F"]
@@ -136,3 +113,8 @@ class EncodedGraph(eqx.Module):
     """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
     group_capacity: GroupCapacity | None = eqx.field(static=True)
     """Most nodes that are coupled, directly or through others. None: no limit."""
+
+    @property
+    def geometry(self) -> Geometry:
+        """The nearest place of every edge."""
+        return self.contact_points.first(len(self.weight))

@@ -1,11 +1,13 @@
 r"""The mass matrix of a scene, $H = M + J^T \Lambda J$: its products, and its inverse."""
 
+from typing import Protocol
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from contactgraph.bodies.geometry import Rows, dense_jacobian, relative_at_edges, to_nodes
+from contactgraph.bodies.geometry import Rows
 
 _UNROLLED_SIZE = 6
 """Rows up to which matrices are inverted in unrolled operations that fuse."""
@@ -22,12 +24,12 @@ class MassMatrix(eqx.Module):
     """Diagonal part, kg."""
     edge: Float[Array, " E"]
     """Stiffness of each edge, kg."""
-    geometry: Rows
+    rows: Rows
 
     def __call__(self, x: Float[Array, "N d c"]) -> Float[Array, "N d c"]:
         """The product with c vectors."""
-        on_edges = self.edge[:, None, None] * relative_at_edges(x, self.geometry)
-        return self.node[:, :, None] * x + to_nodes(on_edges, self.geometry, x.shape[0])
+        on_rows = self.edge[:, None, None] * self.rows.relative(x)
+        return self.node[:, :, None] * x + self.rows.to_nodes(on_rows, x.shape[0])
 
 
 class MassMatrixSolution(eqx.Module):
@@ -39,11 +41,29 @@ class MassMatrixSolution(eqx.Module):
     """Its diagonal; 1/kg."""
 
 
+class GroupCapacity(Protocol):
+    """Most nodes that contacts couple, directly or through others; it solves group by group."""
+
+    @property
+    def nodes(self) -> int:
+        """That number."""
+
+    def solve(self, matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
+        """As `solve_dense`; NaN where more nodes are coupled."""
+
+
+def solve(
+    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: GroupCapacity | None
+) -> MassMatrixSolution:
+    """By groups of coupled nodes of this ``capacity``; None: all at once."""
+    return solve_dense(matrix, vectors) if capacity is None else capacity.solve(matrix, vectors)
+
+
 def solve_dense(matrix: MassMatrix, vectors: Float[Array, "N d c"]) -> MassMatrixSolution:
     """Solve by the inverse of the whole matrix."""
-    (count, size), geometry = matrix.node.shape, matrix.geometry
-    jacobian = dense_jacobian(geometry, count)
-    edge = jnp.repeat(matrix.edge, geometry.contact_jacobian.shape[2])
+    (count, size), rows = matrix.node.shape, matrix.rows
+    jacobian = rows.dense(count)
+    edge = jnp.repeat(matrix.edge, rows.contact_jacobian.shape[2])
     whole = product(jacobian.T, edge[:, None] * jacobian) + jnp.diag(matrix.node.ravel())
     inverse = dense_inverse(whole)
     solution = product(inverse, vectors.reshape(count * size, -1)).reshape(vectors.shape)

@@ -1,16 +1,16 @@
 """Planes, such as walls and tables, which every node may touch and on which hulls slide."""
 
 import dataclasses
+from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.geometry import Geometry, along_normals
+from contactgraph.bodies.geometry import Geometry, Rows, along_normals
+from contactgraph.bodies.graph import Bodies
 from contactgraph.bodies.polygons import FAR, most_points, nearest_places, vertices_of
 from contactgraph.bodies.rotations import levers, placed, rotation_matrix
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import Nodes
 
 _BOTH = 0.02
@@ -19,54 +19,41 @@ them is 0, the limits for small ones tell the friction."""
 
 
 def plane_geometry(
-    nodes: Nodes,
-    *,
-    position: Float[Array, "N G"],
-    velocity: Float[Array, "N G"],
+    bodies: Bodies,
     motion: Float[Array, "N G"],
     distance: Float[Array, " N"],
-    turns: Float[Array, " N"] | None = None,
     turn_length: float | None = None,
     length: float = 1.0,
 ) -> Geometry:
     """The geometry of every node with every plane in a step.
 
-    A node at ``position`` [m] and ``velocity`` [m/s], which would move by ``motion`` [m] if no
-    contact hindered it, touches a plane at ``distance`` [m]. The second node of such an edge is the
-    first again, with a contact Jacobian of 0; that of the first is 0, too, unless the two meet in
-    the step. With a ``turn_length`` [m] bodies have outlines, and each has `plane_points`: see
-    `polygon_meeting`.
+    A node, which would move by ``motion`` [m] if no contact hindered it, touches a plane at
+    ``distance`` [m]. The second node of such an edge is the first again, with a contact Jacobian of
+    0; that of the first is 0, too, unless the two meet in the step. With a ``turn_length`` [m]
+    bodies have outlines, and each has `plane_points`: see `polygon_meeting`.
     """
-    assert nodes.planes is not None
-    planes, dimension = nodes.planes, nodes.planes.shape[1] - 1
-    points = 1 if turn_length is None else most_points(dimension)
+    position, nodes, planes = bodies.position, bodies.nodes, jnp.asarray(bodies.nodes.planes)
+    dimension = planes.shape[1] - 1
     # Rows are those of the first node first, then of its first plane.
-    node = jnp.repeat(jnp.arange(len(position)), len(planes) * points)
-    rows = jnp.repeat(jnp.tile(planes, (len(position), 1)), points, axis=0)
     if turn_length is None:
-        height = jnp.sum(rows[:, :-1] * position[node], axis=-1) - rows[:, -1]
+        height = jnp.sum(planes[:, :-1] * position[:, None], axis=-1) - planes[:, -1]
+        height, node = height[..., None], jnp.repeat(jnp.arange(len(position)), len(planes))
         jacobian = jnp.broadcast_to(jnp.eye(dimension), (len(node), dimension, dimension))
     else:
-        assert nodes.outlines is not None and turns is not None
-        shapes = placed(nodes.outlines, position, turn_length)
-        height, lowest = (
-            leaf.reshape(len(node), *leaf.shape[3:])
-            for leaf in plane_points(shapes, planes, length)
-        )
-        jacobian = levers(lowest, position, turns, node, turn_length)
+        outlines = placed(jnp.asarray(nodes.outlines), position, turn_length)
+        height, lowest = plane_points(outlines, planes, length)
+        node = jnp.repeat(jnp.arange(len(position)), height[0].size)
+        places = lowest.reshape(-1, dimension)
+        jacobian = levers(places, position, bodies.turns, node, turn_length)
+    normal = jnp.broadcast_to(-planes[:, None, :-1], (*height.shape, dimension))
+    height, normal = height.reshape(-1), normal.reshape(-1, dimension)
     jacobian = jacobian * nodes.mobile[node][:, None, None]
-    meeting = Meeting(
-        displacement=-height[:, None] * rows[:, :-1],
-        contact_jacobian=jnp.stack([jacobian, jnp.zeros_like(jacobian)]),
-        sliding=[],
-        edge_index=jnp.stack([node, node]),
-    )
     found = along_normals(
-        meeting,
-        normal=-rows[:, :-1],
+        Rows(jnp.stack([node, node]), jnp.stack([jacobian, jnp.zeros_like(jacobian)])),
+        normal=normal,
         distance=height,
         contact_distance=distance[node],
-        velocity=velocity,
+        velocity=bodies.velocity,
         motion=motion,
     )
     meets = meets_plane(found)
@@ -111,31 +98,17 @@ def on_planes(geometry: Geometry, nodes: Nodes) -> Float[Array, " N"]:
 
 
 def rests_on_planes(
-    nodes: Nodes,
-    *,
-    position: Float[Array, "N G"],
-    velocity: Float[Array, "N G"],
+    bodies: Bodies,
     distance: Float[Array, " N"],
-    turns: Float[Array, " N"],
     turn_length: float | None,
     length: float,
     dt: float,
 ) -> Float[Array, " N"]:
     """1 for nodes that meet some plane in a step of ``dt`` [s] in which weight alone acts on them,
     else 0. Other arguments: see `plane_geometry`."""
-    assert nodes.gravity is not None
-    falls = dt * nodes.passive[:, None] * nodes.gravity
-    found = plane_geometry(
-        nodes,
-        position=position,
-        velocity=velocity,
-        motion=dt * velocity.at[:, : falls.shape[1]].add(falls),
-        distance=distance,
-        turns=turns,
-        turn_length=turn_length,
-        length=length,
-    )
-    return on_planes(found, nodes)
+    falls = dt * bodies.nodes.passive[:, None] * bodies.nodes.gravity
+    motion = dt * bodies.velocity.at[:, : falls.shape[1]].add(falls)
+    return on_planes(plane_geometry(bodies, motion, distance, turn_length, length), bodies.nodes)
 
 
 def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " C"] | float:
@@ -147,65 +120,51 @@ def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " 
     return both * 0.5 * dt**2 * jnp.abs(geometry.normal @ nodes.gravity)
 
 
-class Patch(eqx.Module):
-    """The vertices of hulls, each with an equal part of the weight and Coulomb's friction.
+Sliding = Callable[[Float[Array, "N G"]], tuple[Float[Array, "N 1"], Float[Array, "N G"]]]
+"""From velocities to the speed, m/s, with which each body slides, and what makes up its square: the
+part for the square of the velocity along each coordinate, which is the force over that velocity,
+times the speed."""
+
+
+def hull_sliding(bodies: Bodies, turn_length: float, slow: float) -> Sliding:
+    """Of hulls, each vertex of which bears an equal part of the weight, with Coulomb's friction.
 
     The power of friction is that of a norm of the velocity, the mean speed of the vertices, whose
-    gradient is the force and the torque (Goyal, Ruina and Papadopoulos 1991).
+    gradient is the force and the torque (Goyal, Ruina and Papadopoulos 1991). ``slow`` [m/s] is a
+    speed at which bodies rest.
     """
+    nodes, position = bodies.nodes, jax.lax.stop_gradient(bodies.position)
+    turn = rotation_matrix(position[:, 3:] / turn_length)
+    gravity = jnp.asarray(nodes.gravity)
+    upward = -gravity / jnp.sqrt(jnp.sum(gravity**2))
+    corners = vertices_of(jnp.asarray(nodes.outlines)).reshape(len(position), -1, 3)
+    arm = jnp.einsum("nij,nvj->nvi", turn, corners) / turn_length
+    # Level velocity of each vertex for a unit of turning about the direction against gravity, and
+    # that direction in the axes of the body.
+    lever, axis = jnp.cross(upward, arm), jnp.einsum("nij,i->nj", turn, upward)
+    alike = jnp.all(corners[:, :, None] == corners[:, None], axis=-1)  # several tell one vertex
+    weight = 1.0 / jnp.sum(alike, axis=2, keepdims=True)
+    weight = (weight / jnp.sum(weight, axis=1, keepdims=True)).astype(arm.dtype)
 
-    lever: Float[Array, "N V D"]
-    """Level velocity of each vertex for a unit of turning about the direction against gravity."""
-    weight: Float[Array, "N V 1"]
-    """Part of the body's weight on each row, of which several may tell one vertex."""
-    axis: Float[Array, "N 3"]
-    """That direction in the axes of the body."""
-    upward: Float[Array, " D"]
-
-    @classmethod
-    def of(
-        cls,
-        outlines: Float[Array, "N P V 5 3"] | None,
-        gravity: Float[Array, " D"] | None,
-        position: Float[Array, "N G"],
-        turn_length: float | None,
-    ) -> "Patch | None":
-        """At these positions. None: bodies do not turn in space, or have no weight."""
-        if outlines is None or gravity is None or turn_length is None or position.shape[1] != 6:
-            return None
-        position = jax.lax.stop_gradient(position)
-        turn = rotation_matrix(position[:, 3:] / turn_length)
-        upward = -gravity / jnp.sqrt(jnp.sum(gravity**2))
-        corners = vertices_of(outlines).reshape(len(position), -1, 3)
-        arm = jnp.einsum("nij,nvj->nvi", turn, corners) / turn_length
-        alike = jnp.all(corners[:, :, None] == corners[:, None], axis=-1)
-        share = 1.0 / jnp.sum(alike, axis=2, keepdims=True)
-        share = share / jnp.sum(share, axis=1, keepdims=True)
-        axis = jnp.einsum("nij,i->nj", turn, upward)
-        return cls(jnp.cross(upward, arm), share.astype(arm.dtype), axis, upward)
-
-    def sliding(
-        self, velocity: Float[Array, "N G"], slow: float
-    ) -> tuple[Float[Array, "N 1"], Float[Array, "N G"]]:
-        """The mean speed of the vertices, m/s, and what makes up its square: the part for the
-        square of the velocity along each coordinate, which is the force over that velocity, times
-        the speed. ``slow`` [m/s] is a speed at which bodies rest."""
-        level = velocity[:, :3] - (velocity[:, :3] @ self.upward)[:, None] * self.upward
-        spin = jnp.sum(velocity[:, 3:] * self.axis, axis=1, keepdims=True)
-        reach = jnp.sum(self.weight * _length_of(self.lever), axis=1)
-        across = jnp.cross(self.upward, jnp.eye(3)[jnp.argmin(jnp.abs(self.upward))])
+    def sliding(velocity: Float[Array, "N G"]) -> tuple[Float[Array, "N 1"], Float[Array, "N G"]]:
+        level = velocity[:, :3] - (velocity[:, :3] @ upward)[:, None] * upward
+        spin = jnp.sum(velocity[:, 3:] * axis, axis=1, keepdims=True)
+        reach = jnp.sum(weight * _length_of(lever), axis=1)
+        across = jnp.cross(upward, jnp.eye(3)[jnp.argmin(jnp.abs(upward))])
         level_speed = _length_of(level)
         level += _BOTH * (jnp.abs(spin) * reach + slow) * across
         spin += jnp.where(spin < 0.0, -_BOTH, _BOTH) * (level_speed + slow) / (reach + 1e-9)
-        moving = level[:, None] + spin[..., None] * self.lever
+        moving = level[:, None] + spin[..., None] * lever
         speed = _length_of(moving)
-        force = self.weight * moving / speed
+        force = weight * moving / speed
         forward = jnp.sum(jnp.sum(force, axis=1) * level, axis=1, keepdims=True)
-        turning = jnp.sum(force * self.lever, axis=(1, 2))[:, None]
+        turning = jnp.sum(force * lever, axis=(1, 2))[:, None]
         along = jnp.tile(forward / jnp.sum(level**2, axis=1, keepdims=True), 3)
-        parts = jnp.concatenate([along, turning / spin * self.axis**2], axis=1)
-        whole = jnp.sum(self.weight * speed, axis=1)
+        parts = jnp.concatenate([along, turning / spin * axis**2], axis=1)
+        whole = jnp.sum(weight * speed, axis=1)
         return whole, whole * jnp.maximum(parts, 0.0)
+
+    return sliding
 
 
 def _length_of(vector: Float[Array, "*C D"]) -> Float[Array, "*C 1"]:

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.rotations import across, levers, placed
-from contactgraph.bodies.shapes import Meeting
 
 _SAME_POINT, _SAME_NORMAL = 0.05, 0.9
 """Distance, in lengths, and cosine, of two points of contact that are one."""

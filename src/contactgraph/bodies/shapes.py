@@ -1,34 +1,14 @@
 """Shapes of bodies: the places at which balls, bars about hinges, and boxes meet."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.geometry import Meeting
+
 _MIN_SQUARE = 1e-12
 _LEAST_GAP = 1e-6
 """Of a distance from a box, in units of its sides, below which a point counts as inside."""
-
-
-class Meeting(NamedTuple):
-    """Places at which bodies meet, a row each."""
-
-    displacement: Float[Array, "C D"]
-    """m; from the first body to the second, see `Geometry`."""
-    contact_jacobian: Float[Array, "2 C d c"]
-    """See `Geometry`."""
-    sliding: list[Float[Array, "C D"]]
-    """Directions, unit vectors or 0, in which they slide without coming nearer."""
-    edge_index: Int[Array, "2 C"]
-    """Both bodies."""
-
-    def with_fixed(self, static: Bool[Array, " N"] | None) -> "Meeting":
-        """The same, of which nothing that happens moves the ``static`` nodes."""
-        if static is None:
-            return self
-        fixed = static[self.edge_index][..., None, None]
-        return self._replace(contact_jacobian=jnp.where(fixed, 0.0, self.contact_jacobian))
 
 
 def meeting(
@@ -49,7 +29,7 @@ def meeting(
     if half_size is not None:
         half_size = jnp.sum(half_size[edge_index], axis=0)
         displacement, sliding = box_displacement(displacement, half_size)
-    return Meeting(displacement, jacobian, sliding, edge_index)
+    return Meeting(edge_index, jacobian, displacement, sliding)
 
 
 class HingedBodies(eqx.Module):

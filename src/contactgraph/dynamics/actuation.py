@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.bodies.geometry import relative_at_edges
-from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.bodies.graph import Bodies, EncodedGraph
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.free_bodies import ContactMotion
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _MOST_DAMPED = 0.99
 """Of a velocity in a step: the share that a damper may take. What is beyond moves its other end."""
@@ -72,11 +71,11 @@ class ActuatedMotion(eqx.Module):
         comes to the bound in the step, and does not turn back. Contacts meet it braked, so that
         they add no energy.
         """
-        velocity = graph.velocity
-        end = graph.position + dt * (velocity + theta * driven)
+        velocity = graph.bodies.velocity
+        end = graph.bodies.position + dt * (velocity + theta * driven)
         stop = within_reach(end, graph)
         leaves = end != stop
-        after = velocity + ((stop - graph.position) / dt - velocity) / theta
+        after = velocity + ((stop - graph.bodies.position) / dt - velocity) / theta
         after = jnp.where((end - stop) * after > 0.0, after, 0.0)
         slower = jnp.where(leaves & (jnp.abs(after) < jnp.abs(velocity)), after, velocity)
         driven = jnp.where(leaves, after - slower, driven)
@@ -85,10 +84,14 @@ class ActuatedMotion(eqx.Module):
             by_control=jnp.where(leaves[..., None], 0.0, self.by_control),
             constant=jnp.where(leaves, driven / dt, self.constant),
         )
-        change = relative_at_edges((slower - velocity)[..., None], graph.contact_points)[..., 0]
+        change = graph.contact_points.relative((slower - velocity)[..., None])[..., 0]
         relative = graph.contact_points.relative_velocity + change
-        points = dataclasses.replace(graph.contact_points, relative_velocity=relative)
-        return stopped, driven, dataclasses.replace(graph, velocity=slower, contact_points=points)
+        braked = dataclasses.replace(
+            graph,
+            bodies=graph.bodies._replace(velocity=slower),
+            contact_points=dataclasses.replace(graph.contact_points, relative_velocity=relative),
+        )
+        return stopped, driven, braked
 
     def kept_within_reach(
         self,
@@ -103,11 +106,11 @@ class ActuatedMotion(eqx.Module):
     ) -> ContactMotion:
         """The motion of all nodes, also as ``graph`` [m/s] is braked, and displaced so that none
         ends outside its reach: a fast node does not stop at once, and others may push it."""
-        slowing = solution.acceleration + (braked.velocity - graph.velocity) / dt
+        slowing = solution.acceleration + (braked.bodies.velocity - graph.bodies.velocity) / dt
         change = solution.velocity_change + dt * slowing
         change = change + solution.response @ (slots.T @ driven).reshape(-1)
         displaced = solution.impact_displacement
-        end = graph.position + dt * (graph.velocity + theta * change) + displaced
+        end = graph.bodies.position + dt * (graph.bodies.velocity + theta * change) + displaced
         displaced = displaced + (within_reach(end, graph) - end)
         return dataclasses.replace(solution, acceleration=slowing, impact_displacement=displaced)
 
@@ -125,7 +128,7 @@ class ActuatedMotion(eqx.Module):
 
         ``speed``: unit of speeds, m/s.
         """
-        count, coordinates = graph.position.shape
+        count, coordinates = graph.bodies.position.shape
         change, response = solution.velocity_change, solution.response
         dimension = response.shape[-1] // slots.shape[1]
         by_control = jnp.einsum("ns,ndu->sdu", slots, self.by_control[:, :dimension])
@@ -152,8 +155,8 @@ class ActuatedMotion(eqx.Module):
             response=(response @ by_control) * undamped[..., None],
             stiffness_rate=undamped * spring / dt**2,
             damping_rate=undamped * damper / dt,
-            equilibrium=graph.position + theta * dt * graph.velocity,
-            equilibrium_velocity=graph.velocity,
+            equilibrium=graph.bodies.position + theta * dt * graph.bodies.velocity,
+            equilibrium_velocity=graph.bodies.velocity,
             impact_displacement=solution.impact_displacement,
             acceleration=(response @ constant + solution.acceleration + change / dt) * undamped,
         )
@@ -168,8 +171,7 @@ def actuated_slots(nodes: Nodes, slots: int) -> Float[Array, "N slots"]:
 def within_reach(end: Float[Array, "N D"], graph: EncodedGraph) -> Float[Array, "N D"]:
     """The place, m, nearest to the ``end`` of a step that is in a node's reach, or not farther
     outside than the node is."""
-    bounds, position = graph.nodes.reach, graph.position
-    assert bounds is not None
+    bounds, position = jnp.asarray(graph.bodies.nodes.reach), graph.bodies.position
     turn = ((0, 0), (0, 0), (0, position.shape[1] - bounds.shape[2]))
     bounds = jnp.pad(bounds, turn, constant_values=jnp.nan)
     low = jnp.where(jnp.isnan(bounds[:, 0]), -jnp.inf, jnp.minimum(bounds[:, 0], position))
@@ -264,10 +266,7 @@ class Actuation(eqx.Module):
 
     def __call__(
         self,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        node_type: Float[Array, "N types"],
-        nodes: Nodes,
+        bodies: Bodies,
         theta: Float[Array, ""],
         dt: float,
     ) -> ActuatedMotion:
@@ -277,7 +276,8 @@ class Actuation(eqx.Module):
         exactly.
         """
         self = jax.lax.stop_gradient(self)
-        node_type = node_type * nodes.actuated[:, None]
+        position, velocity, nodes = bodies.position, bodies.velocity, bodies.nodes
+        node_type = bodies.node_type * nodes.actuated[:, None]
         by_control = self.scale * jnp.einsum("nt,tdu->ndu", node_type, self.matrix)
         if nodes.control_of is not None:
             by_control = by_control * nodes.control_of[:, None, : self.control_size]

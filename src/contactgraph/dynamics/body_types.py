@@ -5,15 +5,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.geometry import Joined
-from contactgraph.bodies.graph import Bodies, EncodedGraph, GroupCapacity
-from contactgraph.bodies.mass_matrix import MassMatrix
-from contactgraph.bodies.pins import joined_with_pins, pin_joints
+from contactgraph.bodies.geometry import Rows, joined
+from contactgraph.bodies.graph import Bodies
+from contactgraph.bodies.mass_matrix import GroupCapacity, MassMatrix, solve
+from contactgraph.bodies.pins import pin_meeting, pinned, with_closed_pins
 from contactgraph.bodies.planes import rests_on_planes
 from contactgraph.bodies.rotations import stepped_turns
-from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.actuation import ActuatedMotion, Actuation
-from contactgraph.dynamics.contacts import damper_of, solved
+from contactgraph.dynamics.contacts import damper_of
 
 PACE = 5.0
 """Scale of each type's numbers in their parameters, which learn faster than weights by this."""
@@ -86,16 +85,8 @@ class BodyTypes(eqx.Module):
         if bodies.nodes.gravity is not None:
             if bodies.nodes.planes is None or bodies.velocity.shape[1] != 6:
                 return bodies.velocity
-            on_ground = rests_on_planes(
-                bodies.nodes,
-                position=bodies.position,
-                velocity=bodies.velocity,
-                distance=self._plane_distance(bodies.node_type),
-                turns=bodies.turns,
-                turn_length=self.turn_length,
-                length=self.length,
-                dt=dt,
-            )
+            distance = self._plane_distance(bodies.node_type)
+            on_ground = rests_on_planes(bodies, distance, self.turn_length, self.length, dt)
             damper, slowing = on_ground * damper, on_ground * slowing
         ratio = self.mass_ratio(bodies.node_type, bodies.velocity.shape[1])
         energy = jnp.sum(ratio * bodies.velocity**2, axis=-1)
@@ -107,7 +98,7 @@ class BodyTypes(eqx.Module):
         self,
         bodies: Bodies,
         control: Float[Array, " U"],
-        held: Joined,
+        held: Rows,
         holds: Float[Array, " C"],
         *,
         theta: Array,
@@ -120,53 +111,38 @@ class BodyTypes(eqx.Module):
         touches another within the step. Bodies that hold each other count as rigid. No gradient
         reaches the parameters.
         """
-        position, velocity, nodes, node_type, turns = bodies
-        motion = self.actuation(position, velocity, node_type, nodes, theta, dt)
-        mass = self._coordinate_mass(nodes, node_type, motion, velocity.shape[1])
+        motion = self.actuation(bodies, theta, dt)
+        mass = self._coordinate_mass(bodies, motion)
         mass, theta = jax.lax.stop_gradient((mass, theta))
         free = motion.by_control @ control[: self.actuation.control_size] + motion.constant
-        pins = pin_joints(nodes, turns, mass, self.turn_length)
-        if pins is not None:
-            held, holds = joined_with_pins(held, holds, pins, position)
-        elif not len(holds):
+        pins = pin_meeting(bodies, self.turn_length)
+        if len(pins.displacement):
+            held = joined(held, Rows(pins.edge_index, pins.contact_jacobian))
+            holds = jnp.concatenate([holds, pinned(pins)])
+        if not len(holds):
             return theta * dt**2 * free
         size = held.contact_jacobian.shape[-1]
         matrix = MassMatrix(mass[:, :size], damper_of(holds), held)
-        return theta * dt**2 * solved(matrix, (mass * free)[..., None], capacity).solution[..., 0]
+        return theta * dt**2 * solve(matrix, (mass * free)[..., None], capacity).solution[..., 0]
 
-    def retract(
-        self,
-        graph: EncodedGraph,
-        position: Float[Array, "N G"],
-        velocity: Float[Array, "N G"],
-        *,
-        theta: Array,
-        dt: float,
-    ) -> tuple[Float[Array, "N G"], Float[Array, "N G"]]:
-        """Position [m] and velocity [m/s] after a step, from those of linear dynamics: turns in
-        space are composed, and the points of each pin brought together."""
+    def retract(self, before: Bodies, after: Bodies, *, theta: Array, dt: float) -> Bodies:
+        """The bodies after a step, from those by linear dynamics: turns in space are composed, and
+        the points of each pin brought together."""
         if self.turn_length is None:
-            return position, velocity
-        if position.shape[1] == 6:
-            position = stepped_turns(graph.position, position, self.turn_length)
-        motion = self.actuation(
-            graph.position, graph.velocity, graph.node_type, graph.nodes, theta, dt
-        )
-        mass = self._coordinate_mass(graph.nodes, graph.node_type, motion, position.shape[1])
-        pins = pin_joints(graph.nodes, graph.turns, mass, self.turn_length)
-        return (position, velocity) if pins is None else pins.closed(position, velocity)
+            return after
+        if after.position.shape[1] == 6:
+            place = stepped_turns(before.position, after.position, self.turn_length)
+            after = after._replace(position=place)
+        if before.nodes.pins is None:
+            return after
+        mass = self._coordinate_mass(before, self.actuation(before, theta, dt))
+        return with_closed_pins(after, mass, self.turn_length)
 
-    def _coordinate_mass(
-        self,
-        nodes: Nodes,
-        node_type: Float[Array, "N types"],
-        motion: ActuatedMotion,
-        coordinates: int,
-    ) -> Float[Array, "N G"]:
+    def _coordinate_mass(self, bodies: Bodies, motion: ActuatedMotion) -> Float[Array, "N G"]:
         """kg; of every coordinate of every node, with what a servo adds."""
-        own = 0.0 if nodes.log_mass is None else nodes.log_mass
-        mass = self.mass(node_type, own) * motion.inertia
-        return mass[:, None] * self.mass_ratio(node_type, coordinates)
+        own = 0.0 if bodies.nodes.log_mass is None else bodies.nodes.log_mass
+        mass = self.mass(bodies.node_type, own) * motion.inertia
+        return mass[:, None] * self.mass_ratio(bodies.node_type, bodies.position.shape[1])
 
     def _plane_distance(self, node_type: Float[Array, "N types"]) -> Float[Array, " N"]:
         # Bodies that rest do not tell how much farther a plane might be.

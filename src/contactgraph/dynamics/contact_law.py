@@ -9,15 +9,22 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry, as_near
-from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.bodies.pins import PinJoints, pin_joints, with_pins_held
-from contactgraph.bodies.planes import Patch, meets_plane, on_planes, plane_geometry, weighed_down
+from contactgraph.bodies.graph import Bodies, EncodedGraph
+from contactgraph.bodies.pins import pin_geometry, pinned, with_pins_held
+from contactgraph.bodies.planes import (
+    Sliding,
+    hull_sliding,
+    meets_plane,
+    on_planes,
+    plane_geometry,
+    weighed_down,
+)
 from contactgraph.dynamics.actuation import Actuation, actuated_slots
 from contactgraph.dynamics.body_types import PACE, BodyTypes
 from contactgraph.dynamics.contacts import MAX_COUPLING, Contacts, damper_of
-from contactgraph.dynamics.free_bodies import FreeBodies, lifted_fraction
+from contactgraph.dynamics.free_bodies import SLOW, FreeBodies, lifted_fraction
 from contactgraph.dynamics.hinges import coupling_starts, with_hinge_springs
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _SOFTEST = 0.5
 """Most that touches and the first type that holds lack of rigid; else types look alike."""
@@ -117,15 +124,15 @@ class ContactLaw(BodyTypes):
         dt: float,
     ) -> SpringMassDamper:
         """Parameters of every node at one step of ``dt`` [s] with the implicitness ``theta``."""
-        nodes, node_type = graph.nodes, graph.node_type
-        velocity, (count, coordinates) = graph.velocity, graph.position.shape
-        dimension = self.actuation.dimension
-        motion = self.actuation(graph.position, velocity, node_type, nodes, theta, dt)
-        mass = self._coordinate_mass(nodes, node_type, motion, coordinates)
+        bodies, nodes = graph.bodies, graph.bodies.nodes
+        count, coordinates = bodies.position.shape
+        dimension, described = self.actuation.dimension, nodes.planes is not None
+        motion = self.actuation(bodies, theta, dt)
+        mass = self._coordinate_mass(bodies, motion)
         slots = actuated_slots(nodes, self.slots)
         driving = jnp.einsum("nd,ns,de->ndse", mass, slots, jnp.eye(coordinates, dimension))
         # By the control in the step, until contacts hinder it.
-        displaced, braked = jnp.zeros_like(velocity), graph
+        displaced, braked = jnp.zeros_like(bodies.velocity), graph
         if graph.control_displacement is not None:
             displaced = graph.control_displacement / (theta * dt)
         if nodes.reach is not None:
@@ -133,31 +140,30 @@ class ContactLaw(BodyTypes):
                 displaced, graph, theta=theta, dt=dt
             )
         contacts = self._contacts(braked, message, theta=theta, dt=dt)
-        pins = pin_joints(nodes, graph.turns, mass, self.turn_length)
-        if pins is not None:
-            motion_until = dt * (braked.velocity + theta * displaced)
-            joints = pins.geometry(graph.position, braked.velocity, motion_until)
-            contacts = contacts.and_also(pin_contacts(pins, joints))
-        lifted, capacity = nodes.actuated.astype(velocity.dtype), graph.group_capacity
-        on_ground, falls = jnp.ones(count), jnp.zeros_like(velocity)
+        motion_until = dt * (braked.bodies.velocity + theta * displaced)
+        pins = pin_geometry(braked.bodies, motion_until, self.turn_length)
+        contacts = contacts.and_also(pin_contacts(pins))
+        lifted, capacity = nodes.actuated.astype(mass.dtype), graph.group_capacity
+        on_ground, falls = jnp.ones(count), jnp.zeros_like(bodies.velocity)
         if nodes.gravity is not None:
             holding = with_pins_held(contacts.holding[: len(graph.active)], pins, graph.geometry)
             lifted = lifted_fraction(lifted, holding, graph.geometry, capacity)
             # On a ground that is not described, bodies rest until an actuated one lifts them.
-            falling = lifted * (1.0 - nodes.actuated) if nodes.planes is None else nodes.passive
+            falling = nodes.passive if described else lifted * (1.0 - nodes.actuated)
             gravity = jnp.pad(nodes.gravity, (0, coordinates - dimension))
             on_ground, falls = 1.0 - lifted, falling[:, None] * gravity
-        edges = len(contacts.damper)
-        if nodes.planes is not None:
+        of_edges = len(contacts.damper)
+        if described:
             # What is held goes with the hand, and falls on no plane.
-            meeting = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
-            planes = self._plane_contacts(braked, meeting, theta=theta, dt=dt)
+            driven = displaced + (1.0 - lifted[:, None]) * (dt * falls - displaced)
+            planes = self._plane_contacts(braked.bodies, driven, theta=theta, dt=dt)
             contacts = contacts.and_also(planes)
-            on_ground = on_ground if nodes.gravity is None else on_planes(planes.geometry, nodes)
-        damper, slowing = (on_ground * each for each in self.slowing(node_type))
-        bodies = FreeBodies(
+            if nodes.gravity is not None:
+                on_ground = on_planes(planes.geometry, nodes)
+        damper, slowing = (on_ground * each for each in self.slowing(bodies.node_type))
+        free = FreeBodies(
             mass=mass,
-            velocity=braked.velocity,
+            velocity=braked.bodies.velocity,
             ground_damper=dt * damper,
             deceleration=slowing,
             weight=(mass * falls)[..., None],
@@ -165,14 +171,14 @@ class ContactLaw(BodyTypes):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
-            patch=Patch.of(nodes.outlines, nodes.gravity, graph.position, self.turn_length),
+            sliding=self._sliding(bodies),
         )
         if self.identified:
-            contacts = contacts.pushed_out(dt).pushing(bodies, dt, capacity)
-        elif nodes.planes is not None:  # from which a hand may lift what it holds
-            on_plane = jnp.arange(len(contacts.damper)) >= edges
-            contacts = contacts.pushing(bodies, dt, capacity, on_plane)
-        solution = contacts.solve(bodies, dt, capacity, self.rough)
+            contacts = contacts.pushed_out(dt).pushing(free, dt, capacity)
+        elif described:  # from a plane a hand may lift what it holds
+            on_plane = jnp.arange(len(contacts.damper)) >= of_edges
+            contacts = contacts.pushing(free, dt, capacity, on_plane)
+        solution = contacts.solve(free, dt, capacity, self.rough)
         if nodes.reach is not None:
             solution = motion.kept_within_reach(
                 solution, displaced, slots, graph, braked, theta=theta, dt=dt
@@ -212,7 +218,7 @@ class ContactLaw(BodyTypes):
             early = geometry.approach > (tolerance := _EARLY * self.length)
             early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
-            nearer = geometry.approach + weighed_down(geometry, graph.nodes, dt)
+            nearer = geometry.approach + weighed_down(geometry, graph.bodies.nodes, dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
             weight = weight.at[0].multiply(closing)
             touch = weight[0]
@@ -221,7 +227,7 @@ class ContactLaw(BodyTypes):
         each = each.at[:2].set(1.0 - (not self.identified) * _SOFTEST * (1.0 - each[:2]))
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
-        elastic, friction = self.laws(graph.node_type, *geometry.edge_index)
+        elastic, friction = self.laws(graph.bodies.node_type, *geometry.edge_index)
         touching = touch / jnp.maximum(jnp.sum(weight, axis=0), _SMALL)
         bounce = touch * elastic
         # A contact that bounces is over in an instant.
@@ -242,73 +248,50 @@ class ContactLaw(BodyTypes):
             bounce=bounce,
             friction=friction,
             until_impact=theta * geometry.time_of_impact**2 * (1.0 - self.averaged),
+            pinned=jnp.zeros_like(touch),
         )
 
     def _plane_contacts(
-        self, graph: EncodedGraph, driven: Float[Array, "N D"], *, theta: Array, dt: float
+        self, bodies: Bodies, driven: Float[Array, "N D"], *, theta: Array, dt: float
     ) -> Contacts:
         """Touches of nodes with planes, which need no belief; ``driven`` m/s is what comes to the
         velocity if they do not touch."""
-        motion = dt * (graph.velocity + driven)
-        distance = self._plane_distance(graph.node_type)
-        geometry = plane_geometry(
-            graph.nodes,
-            position=graph.position,
-            velocity=graph.velocity,
-            motion=motion,
-            distance=distance,
-            turns=graph.turns,
-            turn_length=self.turn_length,
-            length=self.length,
+        motion, distance = dt * (bodies.velocity + driven), self._plane_distance(bodies.node_type)
+        geometry = plane_geometry(bodies, motion, distance, self.turn_length, self.length)
+        closing = meets_plane(geometry) * jax.nn.sigmoid(
+            geometry.approach / (_ONE_SIDED * self.length)
         )
-        bounce, friction = self.laws(graph.node_type, geometry.edge_index[0])
-        return plane_contacts(
-            geometry,
-            softness=_ONE_SIDED * self.length,
-            bounce=bounce,
-            friction=friction,
+        bounce, friction = self.laws(bodies.node_type, geometry.edge_index[0])
+        nothing = jnp.zeros_like(closing)
+        return Contacts(
+            geometry=geometry,
+            damper=damper_of(closing),
+            spring=nothing,
+            rest_length=nothing,
+            touching=nothing + 1.0,
             displacing_fraction=self._displacing(geometry, theta),
-            averaged=self.averaged,
+            acting=1.0 - geometry.time_of_impact * self.averaged,
+            bounce=closing * bounce,
+            friction=friction,
+            until_impact=geometry.time_of_impact * (1.0 - self.averaged),
+            pinned=nothing,
         )
+
+    def _sliding(self, bodies: Bodies) -> Sliding | None:
+        """Of hulls that a ground bears in space, see `FreeBodies.sliding`."""
+        in_space = bodies.position.shape[1] == 6
+        if not in_space or self.turn_length is None or bodies.nodes.gravity is None:
+            return None
+        return hull_sliding(bodies, self.turn_length, SLOW * self.speed)
 
     def _displacing(self, geometry: Geometry, theta: Array) -> Float[Array, " C"]:
         # Positions follow from velocities that are means.
         return (1.0 - self.averaged) * (geometry.fraction_after_impact - theta)
 
 
-def plane_contacts(
-    geometry: Geometry,
-    *,
-    softness: float,
-    bounce: Float[Array, " C"],
-    friction: Float[Array, " C"],
-    displacing_fraction: Float[Array, " C"],
-    averaged: bool,
-) -> Contacts:
-    """Touches of a `plane_geometry`, with these coefficients of ``bounce`` and ``friction``.
-
-    They act where a node approaches by more than about ``softness`` [m]; ``averaged``: see
-    `ContactLaw`.
-    """
-    closing = meets_plane(geometry) * jax.nn.sigmoid(geometry.approach / softness)
-    nothing = jnp.zeros_like(closing)
-    return Contacts(
-        geometry=geometry,
-        damper=damper_of(closing),
-        spring=nothing,
-        rest_length=nothing,
-        touching=nothing + 1.0,
-        displacing_fraction=displacing_fraction,
-        acting=1.0 - geometry.time_of_impact * averaged,
-        bounce=closing * bounce,
-        friction=friction,
-        until_impact=geometry.time_of_impact * (1.0 - averaged),
-    )
-
-
-def pin_contacts(pins: PinJoints, geometry: Geometry) -> Contacts:
-    """Contacts that always act, in all directions, at the `PinJoints.geometry`."""
-    exists = pins.exists.astype(geometry.distance.dtype)
+def pin_contacts(geometry: Geometry) -> Contacts:
+    """Contacts that always act, in all directions, at the `pin_geometry`."""
+    exists = pinned(geometry)
     nothing = jnp.zeros_like(exists)
     return Contacts(
         geometry=geometry,

@@ -1,16 +1,15 @@
 """Contacts with a direction, bounce and friction, solved implicitly for one step."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from contactgraph.bodies.geometry import Geometry, relative_at_edges, to_nodes
-from contactgraph.bodies.graph import GroupCapacity
-from contactgraph.bodies.mass_matrix import MassMatrix, MassMatrixSolution, solve_dense
+from contactgraph.bodies.geometry import Geometry, Rows, joined
+from contactgraph.bodies.mass_matrix import GroupCapacity, MassMatrix, MassMatrixSolution, solve
 from contactgraph.dynamics.free_bodies import (
     ContactMotion,
     FreeBodies,
@@ -65,7 +64,7 @@ class Contacts(eqx.Module):
     """Coulomb's coefficient of a touch."""
     until_impact: Float[Array, " C"]
     """Displacement by control and weight before the impact, in dt times what they add to v."""
-    pinned: Float[Array, " C"] | float = 0.0
+    pinned: Float[Array, " C"]
     """1 for pins, whose ``bounce`` acts along all axes and both ways, else 0."""
 
     def solve(
@@ -76,73 +75,73 @@ class Contacts(eqx.Module):
 
         First without friction, which tells the normal impulses that bound it.
         """
-        if not rough:
-            return self._solve_smooth(bodies, dt, capacity)
         mass, count = bodies.mass, len(bodies.mass)
         slides = self.geometry.along(1.0 - self.touching)
-        normal = self._at_impact(self.geometry.along(self.pinned + 0.0 * self.damper), bodies)
+        if not rough:
+            ground = bodies.ground_damper[:, None] * mass
+            return self._moved(bodies, slides, ground, jnp.zeros((*mass.shape, 2)), dt, capacity)
+        normal = self._at_impact(self.geometry.along(self.pinned), bodies)
         stiffness, holding = self.damper + self.spring, 1.0 - self.touching
         mobility, mobility_across = self._mobility(mass)
         elastic = self.bounce / ((1.0 - self.bounce) * mobility)
-        rebounds = [self.displacing_fraction * elastic, self.acting * elastic]
-        first, rebound = _solve_each(
+        hindered = [self._impulse(slides, count, dt), bodies.push]
+        rebounds = [
+            _pulled(share * elastic, normal, count)
+            for share in (self.displacing_fraction, self.acting)
+        ]
+        # Two scenes of the same bodies as one batch: one program to compile.
+        found = _solved_each(
             mass,
-            [stiffness, elastic],
+            jnp.stack([stiffness, elastic]),
             [slides, normal],
-            [
-                [self._impulse(slides, count, dt), bodies.push],
-                [_pulled(each, normal, count) for each in rebounds],
-            ],
+            jnp.stack([jnp.concatenate(each, axis=-1) for each in (hindered, rebounds)]),
             capacity,
         )
-        change = jnp.sum(first.parts[1] - first.parts[0], axis=-1)
+        free, rebound = found.solution
+        change = free[..., 1] - free[..., 0]
         sliding = sliding_share(bodies, self.geometry, self.coupling, dt)
-        given = yielding_alone(bodies, change, first.diagonal)
+        given = yielding_alone(bodies, change, found.diagonal[0])
         ground = ground_dampers(bodies, change, given, sliding, dt)
         if bodies.pushed:
             # What the ground takes from a body, that which pushes it gives, and more friction.
-            braking = self._impulse(slides, count, dt) + (ground * bodies.velocity)[..., None]
-            braked = _solve(mass + ground, stiffness, slides, [braking, bodies.push], capacity)
-            slower = jnp.sum(braked.parts[1] - braked.parts[0], axis=-1)
+            braking = hindered[0] + (ground * bodies.velocity)[..., None]
+            matrix = MassMatrix(mass + ground, stiffness, slides)
+            right = jnp.concatenate([braking, bodies.push], axis=-1)
+            braked = solve(matrix, right, capacity).solution
+            slower = braked[..., 1] - braked[..., 0]
             given = yielding(bodies, ground, change, slower)
             ground, change = ground_dampers(bodies, change, given, sliding, dt), slower
         across = self._friction(bodies, change, mobility_across, dt)
         rubbing = self.geometry.along(jnp.maximum(across, holding))
-        slowing = self._impulse(rubbing, count, dt) + (ground * bodies.velocity)[..., None]
-        displacing = -self._left(self.until_impact, bodies.push, rubbing, mass)
-        displacing += _pulled(self.displacing_fraction * self.damper, rubbing, count)
-        driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
-        driven += self._left(1.0 - self.acting, driven, rubbing, mass)
-        solved = _solve(mass + ground, stiffness, rubbing, [slowing, displacing, driven], capacity)
-        return ContactMotion(
-            velocity_change=-jnp.sum(solved.parts[0] + rebound.parts[1], axis=-1),
-            impact_displacement=-dt * jnp.sum(solved.parts[1] + rebound.parts[0], axis=-1),
-            acceleration=solved.parts[2][..., 0],
-            response=solved.parts[2][..., 1:],
-            own_share=solved.diagonal * mass,
-            ground_share=solved.diagonal * ground,
-        )
+        return self._moved(bodies, rubbing, ground, rebound, dt, capacity)
 
-    def _solve_smooth(
-        self, bodies: FreeBodies, dt: float, capacity: GroupCapacity | None
+    def _moved(
+        self,
+        bodies: FreeBodies,
+        rows: Geometry,
+        ground: Float[Array, "N G"],
+        rebound: Float[Array, "N G 2"],
+        dt: float,
+        capacity: GroupCapacity | None,
     ) -> ContactMotion:
-        """`solve` where nothing bounces, rubs or is slowed but by dampers: at once."""
+        """The motion with dampers along and across the normals as of ``rows``, to the ``ground``
+        [kg, times dt], and a ``rebound`` [m/s] that displaces, and that changes velocities."""
         mass, count = bodies.mass, len(bodies.mass)
-        sliding, stiffness = self.geometry.along(1.0 - self.touching), self.damper + self.spring
-        ground = bodies.ground_damper[:, None] * mass
-        slowing = self._impulse(sliding, count, dt) + (ground * bodies.velocity)[..., None]
-        displacing = -self._left(self.until_impact, bodies.push, sliding, mass)
-        displacing += _pulled(self.displacing_fraction * self.damper, sliding, count)
+        slowing = self._impulse(rows, count, dt) + (ground * bodies.velocity)[..., None]
+        displacing = -self._left(self.until_impact, bodies.push, rows, mass)
+        displacing += _pulled(self.displacing_fraction * self.damper, rows, count)
         driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
-        driven += self._left(1.0 - self.acting, driven, sliding, mass)
-        solved = _solve(mass + ground, stiffness, sliding, [slowing, displacing, driven], capacity)
+        driven += self._left(1.0 - self.acting, driven, rows, mass)
+        matrix = MassMatrix(mass + ground, self.damper + self.spring, rows)
+        right = jnp.concatenate([slowing, displacing, driven], axis=-1)
+        found = solve(matrix, right, capacity)
         return ContactMotion(
-            velocity_change=-solved.parts[0][..., 0],
-            impact_displacement=-dt * jnp.sum(solved.parts[1], axis=-1),
-            acceleration=solved.parts[2][..., 0],
-            response=solved.parts[2][..., 1:],
-            own_share=solved.diagonal * mass,
-            ground_share=solved.diagonal * ground,
+            velocity_change=-(found.solution[..., 0] + rebound[..., 1]),
+            impact_displacement=-dt * (found.solution[..., 1] + rebound[..., 0]),
+            acceleration=found.solution[..., 2],
+            response=found.solution[..., 3:],
+            own_share=found.diagonal * mass,
+            ground_share=found.diagonal * ground,
         )
 
     @property
@@ -157,16 +156,10 @@ class Contacts(eqx.Module):
 
     def and_also(self, other: "Contacts") -> "Contacts":
         """These contacts, then the others."""
+        if not len(other.damper):
+            return self
         whole = self.geometry.along(jnp.ones_like(self.damper))
-        first = dataclasses.replace(self, geometry=whole, pinned=self.pinned + 0.0 * self.damper)
-        other = dataclasses.replace(other, pinned=other.pinned + 0.0 * other.damper)
-
-        by_end = ("edge_index", "contact_jacobian")  # the two ends are the first axis
-
-        def joined(path: tuple, one: Array, another: Array) -> Array:
-            return jnp.concatenate([one, another], axis=int(path[-1].name in by_end))
-
-        return jax.tree_util.tree_map_with_path(joined, first, other)
+        return joined(dataclasses.replace(self, geometry=whole), other)
 
     @property
     def _gap(self) -> Float[Array, " C"]:
@@ -191,9 +184,9 @@ class Contacts(eqx.Module):
         geometry, gap = self.geometry, jnp.minimum(self._gap, 0.0)
         normal, stiffness = geometry.along(1.0 - self.touching), self.damper + self.spring
         pushed = bodies.push - self._impulse(normal, len(bodies.mass), dt)
-        solved = _solve(bodies.mass, stiffness, normal, [pushed], capacity)
-        velocity = bodies.velocity[..., None] + solved.parts[0]
-        parting = jnp.sum(geometry.normal * relative_at_edges(velocity, geometry)[..., 0], axis=-1)
+        change = solve(MassMatrix(bodies.mass, stiffness, normal), pushed, capacity).solution
+        parting = geometry.relative(bodies.velocity[..., None] + change)[..., 0]
+        parting = jnp.sum(geometry.normal * parting, axis=-1)
         pulls = among & (stiffness * parting + self.spring * gap / dt > 0.0)
         kept = 1.0 - self.touching * pulls
         given = {name: kept * getattr(self, name) for name in ("damper", "spring", "bounce")}
@@ -202,13 +195,13 @@ class Contacts(eqx.Module):
     def _at_impact(self, normal: Geometry, bodies: FreeBodies) -> Geometry:
         """With the velocity of which a bounce gives back its share: that at the impact, less what
         control and weight add to the approach after it, so that what is pushed on does not part."""
-        added = relative_at_edges(bodies.push / bodies.mass[..., None], normal)[..., 0]
+        added = normal.relative(bodies.push / bodies.mass[..., None])[..., 0]
         pushes = jnp.sum(normal.normal * added, axis=-1) < 0.0
         after = (1.0 - normal.time_of_impact) / jnp.maximum(self.bounce, _LEAST_BOUNCE) * pushes
         met = normal.relative_velocity + (normal.time_of_impact - after)[:, None] * added
         closing = jnp.sum(normal.normal * met, axis=-1, keepdims=True) < 0.0
         met = jnp.where(closing, met, 0.0)
-        met = jnp.where(jnp.asarray(self.pinned)[..., None] > 0.0, normal.relative_velocity, met)
+        met = jnp.where(self.pinned[..., None] > 0.0, normal.relative_velocity, met)
         return dataclasses.replace(normal, relative_velocity=met)
 
     def _impulse(self, geometry: Geometry, count: int, dt: float) -> Float[Array, "N G 1"]:
@@ -216,14 +209,14 @@ class Contacts(eqx.Module):
         impulse = (self.damper + self.spring) * self.acting
         impulse = impulse[:, None] * geometry.relative_velocity
         impulse = impulse + self.spring[:, None] * stretch / dt
-        return to_nodes(impulse[..., None], geometry, count)
+        return geometry.to_nodes(impulse[..., None], count)
 
     def _left(
         self, share: Float[Array, " C"], momentum: Array, geometry: Geometry, mass: Array
     ) -> Float[Array, "N G c"]:
         """Momentum [kg m/s] of the contacts that keeps this share of what would be without them."""
-        free = relative_at_edges(momentum / mass[..., None], geometry)
-        return to_nodes((share * self.damper)[:, None, None] * free, geometry, len(mass))
+        free = geometry.relative(momentum / mass[..., None])
+        return geometry.to_nodes((share * self.damper)[:, None, None] * free, len(mass))
 
     def _mobility(self, mass: Float[Array, "N G"]) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
         """Relative velocity of two free bodies for each unit of momentum between them, along the
@@ -250,7 +243,7 @@ class Contacts(eqx.Module):
         velocity, mobility, damper = jax.lax.stop_gradient(
             (bodies.velocity + change, mobility, self.damper)
         )
-        relative = relative_at_edges(velocity[..., None], self.geometry)[..., 0]
+        relative = self.geometry.relative(velocity[..., None])[..., 0]
         approach = jnp.sum(self.geometry.normal * relative, axis=-1)
         across = speed_of(relative - approach[:, None] * self.geometry.normal, bodies.speed)
         pushed = -(damper + self.spring) * approach - self.spring * self._gap / dt
@@ -266,58 +259,21 @@ def damper_of(coupling: Float[Array, " C"]) -> Float[Array, " C"]:
     return MAX_COUPLING * coupling / (1.0 - MAX_COUPLING * coupling)
 
 
-class _Solved(eqx.Module):
-    parts: list[Float[Array, "N G c"]]
-    diagonal: Float[Array, "N G"]
-
-
-def _solve_each(
-    node: Float[Array, "N G"],
-    stiffness: list[Float[Array, " C"]],
-    geometry: list[Geometry],
-    vectors: list[list[Float[Array, "N G c"]]],
+def _solved_each(
+    mass: Float[Array, "N G"],
+    stiffness: Float[Array, "S C"],
+    rows: Sequence[Rows],
+    right: Float[Array, "S N G c"],
     capacity: GroupCapacity | None,
-) -> list[_Solved]:
-    """`_solve` of several scenes of the same bodies, as one batch: one program to compile."""
-    widths = [sum(part.shape[-1] for part in parts) for parts in vectors]
-    padded = []
-    for parts, width in zip(vectors, widths, strict=True):
-        filling = jnp.zeros((*parts[0].shape[:-1], max(widths) - width), parts[0].dtype)
-        padded.append(jnp.concatenate([*parts, filling], axis=-1))
-
-    def solve(stiffness: Array, jacobian: Array, right: Array) -> _Solved:
-        at = dataclasses.replace(geometry[0], contact_jacobian=jacobian)
-        return _solve(node, stiffness, at, [right], capacity)
-
-    jacobians = jnp.stack([each.contact_jacobian for each in geometry])
-    batch = jax.vmap(solve)(jnp.stack(stiffness), jacobians, jnp.stack(padded))
-    results = []
-    for index, parts in enumerate(vectors):
-        ends = np.cumsum([part.shape[-1] for part in parts]).tolist()
-        split = jnp.split(batch.parts[0][index], ends, axis=-1)[:-1]
-        results.append(_Solved(split, batch.diagonal[index]))
-    return results
-
-
-def _solve(
-    node: Float[Array, "N G"],
-    stiffness: Float[Array, " C"],
-    geometry: Geometry,
-    vectors: list[Float[Array, "N G c"]],
-    capacity: GroupCapacity | None,
-) -> _Solved:
-    matrix, right = MassMatrix(node, stiffness, geometry), jnp.concatenate(vectors, axis=-1)
-    found = solved(matrix, right, capacity)
-    splits = np.cumsum([part.shape[-1] for part in vectors])[:-1].tolist()
-    return _Solved(jnp.split(found.solution, splits, axis=-1), found.diagonal)
-
-
-def solved(
-    matrix: MassMatrix, vectors: Float[Array, "N d c"], capacity: GroupCapacity | None
 ) -> MassMatrixSolution:
-    """By groups of coupled nodes of this ``capacity``; None: all at once."""
-    return solve_dense(matrix, vectors) if capacity is None else capacity.solve(matrix, vectors)
+    """The solutions, [S, ...], of several scenes of the same bodies, which differ in their rows."""
+
+    def one(stiffness: Array, jacobian: Array, right: Array) -> MassMatrixSolution:
+        matrix = MassMatrix(mass, stiffness, Rows(rows[0].edge_index, jacobian))
+        return solve(matrix, right, capacity)
+
+    return jax.vmap(one)(stiffness, jnp.stack([each.contact_jacobian for each in rows]), right)
 
 
 def _pulled(damper: Float[Array, " C"], geometry: Geometry, count: int) -> Float[Array, "N G 1"]:
-    return to_nodes((damper[:, None] * geometry.relative_velocity)[..., None], geometry, count)
+    return geometry.to_nodes((damper[:, None] * geometry.relative_velocity)[..., None], count)

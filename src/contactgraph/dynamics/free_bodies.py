@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.geometry import Geometry, incidence
-from contactgraph.bodies.graph import GroupCapacity
-from contactgraph.bodies.planes import Patch
+from contactgraph.bodies.geometry import Geometry, Rows, incidence
+from contactgraph.bodies.mass_matrix import GroupCapacity
+from contactgraph.bodies.planes import Sliding
 
-_SLOW = 1e-4
+SLOW = 1e-4
 """See `FreeBodies.slow`, in units of speed."""
 _LEAST = 1e-6
 """By which is divided."""
@@ -36,13 +36,13 @@ class FreeBodies(eqx.Module):
     """Unit of speeds, m/s."""
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
-    patch: Patch | None = None
-    """On which bodies slide. None: each as an ellipsoid of its inertia."""
+    sliding: Sliding | None = None
+    """None: each body slides as an ellipsoid of its inertia."""
 
     @property
     def slow(self) -> float:
         """Speed of bodies that friction stops within a step, m/s."""
-        return _SLOW * self.speed
+        return SLOW * self.speed
 
 
 class ContactMotion(eqx.Module):
@@ -65,7 +65,7 @@ class ContactMotion(eqx.Module):
 def lifted_fraction(
     actuated: Float[Array, " N"],
     coupling: Float[Array, " E"],
-    geometry: Geometry,
+    edges: Rows,
     group_capacity: GroupCapacity | None = None,
 ) -> Float[Array, " N"]:
     """Lifted fraction of each node, in [0, 1]: the strongest chain of edges to an actuated node.
@@ -73,7 +73,7 @@ def lifted_fraction(
     `actuated` is 1 or 0, the `coupling` of an edge in [0, 1), a chain as strong as the product of
     its edges. `group_capacity`: most nodes that are coupled; None: no limit.
     """
-    count, edge_index = actuated.shape[0], geometry.edge_index
+    count, edge_index = actuated.shape[0], edges.edge_index
     share = actuated.astype(coupling.dtype)
     if group_capacity is not None:
         for _ in range(group_capacity.nodes - 1):
@@ -163,7 +163,7 @@ def _sliding(
     radius of gyration.
     """
     velocity = bodies.velocity + change
-    if bodies.patch is None:
+    if bodies.sliding is None:
         square = bodies.mass / bodies.mass[:, :1]
         return speed_of(jnp.sqrt(square) * velocity, bodies.speed)[:, None], square
-    return bodies.patch.sliding(velocity, bodies.slow)
+    return bodies.sliding(velocity)

@@ -5,12 +5,12 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from contactgraph.bodies.geometry import sum_at_nodes
+from contactgraph.bodies.geometry import Geometry, sum_at_nodes
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.shapes import HingedBodies
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
+from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
@@ -56,14 +56,13 @@ def hinge_constraint(
     position: Float[Array, "N D"],
     velocity: Float[Array, "N D"],
     coupling: Float[Array, " E"],
-    edge_index: Int[Array, "2 E"],
-    relative_velocity: Float[Array, "E D"],
+    edges: Geometry,
 ) -> HingeConstraint:
     """The constraint of a step in which nodes move with `velocity` [m/s].
 
-    `coupling` in [0, 1] is that of each edge, `relative_velocity` [m/s] that of its second node
-    against its first; `anchor` [m] is NaN where a node has no hinge.
+    `coupling` in [0, 1] is that of each edge; `anchor` [m] is NaN where a node has no hinge.
     """
+    edge_index = edges.edge_index
     count = position.shape[0]
     bodies = HingedBodies(position, anchor)
     turning = jnp.sum(velocity**2, axis=-1) / bodies.radius_squared
@@ -71,7 +70,7 @@ def hinge_constraint(
     # From the hinged end of an edge to its free end.
     passes = bodies.hinged[other] & ~bodies.hinged[edge_index]
     weight = jnp.where(passes, coupling, 0.0)
-    square = jnp.sum(relative_velocity**2, axis=-1)
+    square = jnp.sum(edges.relative_velocity**2, axis=-1)
     resting = weight * _RESTING_SPEED**2 / (square + _RESTING_SPEED**2)
     total = sum_at_nodes(weight, edge_index, count)
     share = jnp.minimum(1.0, 1.0 / jnp.maximum(total, _MIN_WEIGHT))
@@ -100,16 +99,10 @@ def with_hinge_springs(
 ) -> SpringMassDamper:
     """The parameters with the springs that keep bodies turning about their hinges; ``change`` [m/s]
     is that of their velocities by contacts."""
-    anchor = graph.nodes.anchor
-    assert anchor is not None and parameters.acceleration is not None
-    constraint = hinge_constraint(
-        anchor,
-        graph.position,
-        graph.velocity + change,
-        coupling,
-        graph.geometry.edge_index,
-        graph.geometry.relative_velocity,
-    )
+    bodies = graph.bodies
+    anchor = jnp.asarray(bodies.nodes.anchor)
+    moving = bodies.velocity + change
+    constraint = hinge_constraint(anchor, bodies.position, moving, coupling, graph.geometry)
     own = parameters.stiffness_rate
     before = 1.0 + theta * (dt * parameters.damping_rate) + theta**2 * dt**2 * own
     stiffness = constraint.stiffness_rate[:, None] * before  # as stiff whatever the damper does
@@ -122,11 +115,11 @@ def with_hinge_springs(
         / jnp.maximum(stiffness + own, _MIN_SHARE),
         acceleration=(acceleration := parameters.acceleration * (after / before)),
     )
-    moved = graph.position + theta * dt * graph.velocity
+    moved = bodies.position + theta * dt * bodies.velocity
     pull = dt * (acceleration - stiffness * (moved - constraint.center))
     # The position after the step without control; see `ThetaMethod`.
     displacement = sprung.impact_displacement
-    position = graph.position + dt * (graph.velocity + theta * pull / after) + displacement
+    position = bodies.position + dt * (bodies.velocity + theta * pull / after) + displacement
     return dataclasses.replace(
         sprung, impact_displacement=displacement + constraint.projection(position)
     )

@@ -18,8 +18,7 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper
-from contactgraph.dynamics.local_dynamics import SpringMassDamperDynamics
+from contactgraph.dynamics.local_dynamics import SpringMassDamper, SpringMassDamperDynamics
 from contactgraph.evaluate.statistics import finite_or_none
 from contactgraph.evaluate.trajectory_prediction import filtered_beliefs
 from contactgraph.inference.features import turn_length_of

@@ -9,10 +9,10 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.geometry import Geometry, Meeting
 from contactgraph.bodies.pins import apart_from_pins
 from contactgraph.bodies.polygons import polygon_meeting
-from contactgraph.bodies.shapes import Meeting, meeting
+from contactgraph.bodies.shapes import meeting
 from contactgraph.data.trajectory_batch import Nodes, type_id
 
 _NEAR = 0.03

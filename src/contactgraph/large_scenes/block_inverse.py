@@ -70,7 +70,7 @@ def solve_block_diagonal(
     """Solve by the inverses of the groups. NaN where one has more nodes than `capacity`."""
     fixed = jax.lax.stop_gradient(matrix)
     count, size = matrix.node.shape
-    edge_index = matrix.geometry.edge_index
+    edge_index = matrix.rows.edge_index
     groups = find_groups(fixed.edge > 0, edge_index, count)
     blocks = jnp.where(groups.largest <= capacity, _blocks(fixed, groups, capacity), jnp.nan)
     rows = size * jnp.minimum(groups.largest, capacity)
@@ -84,16 +84,16 @@ def solve_block_diagonal(
         return (flat @ inside).reshape(count * capacity, *right.shape[1:])[row]
 
     solution = jax.lax.custom_linear_solve(matrix, vectors, solve, symmetric=True)
-    jacobian = matrix.geometry.contact_jacobian
+    jacobian = matrix.rows.contact_jacobian
     diagonal = _diagonal(matrix.node, matrix.edge, jacobian, edge_index, groups, inverse)
     return MassMatrixSolution(solution, diagonal)
 
 
 def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "N s s"]:
     """Each group's block of the matrix, a row for each `Groups.group`; identity in empty slots."""
-    (count, size), geometry = matrix.node.shape, matrix.geometry
-    first, second = geometry.edge_index
-    jacobian, edge = geometry.contact_jacobian, matrix.edge[:, None, None]
+    (count, size), rows = matrix.node.shape, matrix.rows
+    first, second = rows.edge_index
+    jacobian, edge = rows.contact_jacobian, matrix.edge[:, None, None]
     outside = count * capacity * capacity
 
     def entry(one: Int[Array, " m"], other: Int[Array, " m"]) -> Int[Array, " m"]:
@@ -103,7 +103,7 @@ def _blocks(matrix: MassMatrix, groups: Groups, capacity: int) -> Float[Array, "
 
     identity = jnp.eye(size, dtype=matrix.node.dtype)
     own = edge * jnp.einsum("seji,sejk->seik", jacobian, jacobian)
-    own = sum_at_nodes(own, geometry.edge_index, count)
+    own = sum_at_nodes(own, rows.edge_index, count)
     own = own + matrix.node[:, :, None] * identity
     cross = -edge * jnp.einsum("eji,ejk->eik", jacobian[0], jacobian[1])
     joins = matrix.edge > 0

@@ -9,16 +9,16 @@ from contactgraph.data.trajectory_batch import Nodes as Nodes
 from contactgraph.dynamics.actuation import Actuation as Actuation
 from contactgraph.dynamics.actuation import ActuationFit as ActuationFit
 from contactgraph.dynamics.contact_law import ContactLaw as ContactLaw
-from contactgraph.dynamics.linear_dynamics import LinearDynamics as LinearDynamics
-from contactgraph.dynamics.linear_dynamics import SpringMassDamper as SpringMassDamper
-from contactgraph.dynamics.linear_dynamics import from_physical as from_physical
-from contactgraph.dynamics.linear_dynamics import stack_state as stack_state
+from contactgraph.dynamics.local_dynamics import LinearDynamics as LinearDynamics
 from contactgraph.dynamics.local_dynamics import LocalDynamics as LocalDynamics
+from contactgraph.dynamics.local_dynamics import SpringMassDamper as SpringMassDamper
 from contactgraph.dynamics.local_dynamics import (
     SpringMassDamperDynamics as SpringMassDamperDynamics,
 )
 from contactgraph.dynamics.local_dynamics import ThetaMethod as ThetaMethod
 from contactgraph.dynamics.local_dynamics import WithoutContacts as WithoutContacts
+from contactgraph.dynamics.local_dynamics import from_physical as from_physical
+from contactgraph.dynamics.local_dynamics import stack_state as stack_state
 from contactgraph.inference.contact_belief import ArgmaxSample as ArgmaxSample
 from contactgraph.inference.contact_belief import ContactBelief as ContactBelief
 from contactgraph.inference.contact_belief import ContactSensor as ContactSensor

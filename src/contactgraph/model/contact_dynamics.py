@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from contactgraph.bodies.geometry import Geometry, Joined, geometry, travel_bound
+from contactgraph.bodies.geometry import Geometry, Meeting, Rows, geometry, travel_bound
 from contactgraph.bodies.graph import (
     Bodies,
     EdgeList,
@@ -22,13 +22,16 @@ from contactgraph.bodies.graph import (
     edge_count,
     edge_nodes,
 )
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.data.turns import coordinate_count
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper
-from contactgraph.dynamics.local_dynamics import LocalDynamics, SpringMassDamperDynamics
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    SpringMassDamperDynamics,
+)
 from contactgraph.inference.contact_belief import (
     ArgmaxSample,
     ContactBelief,
@@ -152,16 +155,10 @@ class ContactDynamics(eqx.Module):
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
         capacity = self.neighbor_list
         return EncodedGraph(
-            position=position,
-            velocity=velocity,
+            bodies=bodies,
             control=control,
-            nodes=nodes,
-            node_type=bodies.node_type,
-            turns=bodies.turns,
             control_displacement=displacement,
-            geometry=edge_geometry,
             contact_points=points,
-            meeting=meeting,
             edge_id=edges.edge_id,
             node_features=node_features,
             edge_features=edge_features,
@@ -196,7 +193,7 @@ class ContactDynamics(eqx.Module):
         jacobian = jnp.ones((2, 0, self.dimension, size))
         if meeting is not None:  # The nearest places of all edges come first.
             jacobian = meeting.contact_jacobian[:, : edge_index.shape[1]]
-        held = Joined(edge_index, jacobian)
+        held = Rows(edge_index, jacobian)
         holds = candidate & jnp.all(nodes.mask[edge_index], axis=0) & (before.holding > 0.5)
         displacement = self.local_dynamics.control_displacement(
             bodies,
@@ -246,7 +243,7 @@ class ContactDynamics(eqx.Module):
         self, belief: ContactBelief, graph: EncodedGraph
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the step, and the probability of each pair of types before and after."""
-        before = belief.over(graph.edge_id, pair_count(len(graph.position)))
+        before = belief.over(graph.edge_id, pair_count(len(graph.bodies.position)))
         free, joint = self.inference.predict(before, graph.embedding, graph.prior)
         active = free.type_probability[:, 1:] * graph.weight[:, None]
         types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
@@ -274,32 +271,33 @@ class ContactDynamics(eqx.Module):
             linear = self.local_dynamics(graph, self.dt)
         else:
             linear = self._in_substeps(graph)
-        moved = linear(graph.position, graph.velocity, graph.control)
-        kept = self.local_dynamics.retract(graph, *moved, dt=self.dt)
-        if kept[0] is moved[0] and kept[1] is moved[1]:
+        bodies = graph.bodies
+        position, velocity = linear(bodies.position, bodies.velocity, graph.control)
+        after = bodies._replace(position=position, velocity=velocity)
+        kept = self.local_dynamics.retract(bodies, after, dt=self.dt)
+        if kept is after:
             return linear
-        off = jnp.stack([kept[0] - moved[0], kept[1] - moved[1]], axis=-1)
+        off = jnp.stack([kept.position - position, kept.velocity - velocity], axis=-1)
         return dataclasses.replace(linear, offset=linear.offset + off)
 
     def _in_substeps(self, graph: EncodedGraph) -> LinearDynamics:
         dt = self.dt / self.substeps
-        nodes, still = graph.nodes, jnp.zeros_like(graph.control)
+        start, still = graph.bodies, jnp.zeros_like(graph.control)
 
         def part(done: LinearDynamics, _: None) -> tuple[LinearDynamics, None]:
-            at = done(graph.position, graph.velocity, still)
-            at = self.local_dynamics.retract(graph, *at, dt=dt)
+            position, velocity = done(start.position, start.velocity, still)
+            after = start._replace(position=position, velocity=velocity)
+            after = self.local_dynamics.retract(start, after, dt=dt)
             # Through all contacts of a rollout, each of which begins within a hair, gradients
             # overflow.
-            at = jax.lax.stop_gradient(at)
-            meeting = self.features.meeting(nodes, at[0], graph.geometry.edge_index)
+            position, velocity = jax.lax.stop_gradient((after.position, after.velocity))
+            bodies = start._replace(position=position, velocity=velocity)
+            meeting = self.features.meeting(start.nodes, position, graph.geometry.edge_index)
             touch = graph.geometry.contact_distance
-            bodies = Bodies(at[0], at[1], nodes, graph.node_type, graph.turns)
             points = self._contact_points(bodies, dt, touch, meeting, None)
             there = dataclasses.replace(
                 graph,
-                position=at[0],
-                velocity=at[1],
-                geometry=points.first(len(graph.active)),
+                bodies=bodies,
                 contact_points=points,
                 control_displacement=None,
             )

@@ -17,7 +17,7 @@ from contactgraph.data import (
     pad_trajectories,
 )
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.dynamics.local_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, ContactSensor, cast_like, correct
 from contactgraph.inference.features import turn_length_of
 from contactgraph.inference.motion_noise import Motion, MotionNoise

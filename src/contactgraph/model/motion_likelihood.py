@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.inference.contact_belief import (
@@ -122,11 +122,18 @@ def edge_log_ratios(
     ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
     """
 
-    noise = noise.at(graph.velocity, model.dt)
+    bodies = graph.bodies
+    noise = noise.at(bodies.velocity, model.dt)
 
     def moved(types: Float[Array, "E K"]) -> Motion:
         return motion_given_types(
-            model, graph.position, graph.velocity, graph.control, graph.nodes, types, graph.meeting
+            model,
+            bodies.position,
+            bodies.velocity,
+            graph.control,
+            bodies.nodes,
+            types,
+            graph.contact_points,
         )
 
     edge_types = joint.shape[-1]
@@ -138,7 +145,7 @@ def edge_log_ratios(
     ) -> tuple[Float[Array, "E K"], Float[Array, "K K"]]:
         one_hot = jnp.eye(edge_types, dtype=types.dtype)
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
-        ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
+        ratios = noise.log_ratios(motions, observed, bodies.nodes.mask, model.dt)
         ratios = ratios - ratios[0, 0]
         after = jnp.sum(pair_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios

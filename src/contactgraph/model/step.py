@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from contactgraph.data import Scene
 from contactgraph.data.trajectory_batch import Nodes, pad_nodes
-from contactgraph.dynamics.linear_dynamics import LinearDynamics
+from contactgraph.dynamics.local_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, cast_like
 
 

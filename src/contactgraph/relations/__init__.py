@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph, all_pairs
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.inference.features import InvariantFeatures

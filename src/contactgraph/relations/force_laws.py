@@ -22,8 +22,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.message_passing import EdgeNetwork
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
-from contactgraph.dynamics.local_dynamics import LocalDynamics, ThetaMethod
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    ThetaMethod,
+    own_component,
+)
 
 _SOFT = 0.1
 """Factor on the first outputs of a law's network: relations start weak, and must earn more."""
@@ -130,16 +135,17 @@ class RelationDynamics(LocalDynamics):
 
     def accelerations(self, graph: EncodedGraph, dt: float) -> Float[Array, "2 E active D"]:
         """m/s^2 of the first and the second node of every edge, by each active type if it acts."""
-        middle = graph.position + _HALF * dt * graph.velocity
+        bodies = graph.bodies
+        middle = bodies.position + _HALF * dt * bodies.velocity
         first, second = graph.geometry.edge_index
         displacement = middle[second] - middle[first]
         squared = jnp.sum(displacement**2, axis=-1)
         distance = jnp.sqrt(squared + (1e-3 * self.length) ** 2) / self.length
         laws = [jax.vmap(law)(distance) for law in self.message_passing.types]
-        kind, share = graph.node_type, self.message_passing.share
+        kind, share = bodies.node_type, self.message_passing.share
         of_first = jnp.einsum("ars,er,es->ea", share, kind[first], kind[second])
         of_second = jnp.einsum("ars,er,es->ea", share, kind[second], kind[first])
-        nodes = graph.nodes
+        nodes = bodies.nodes
         exists = nodes.candidate & nodes.mask[first] & nodes.mask[second]
         law = jnp.where(exists[:, None], jnp.stack(laws, -1), 0.0)
         toward = law[..., None] * displacement[:, None, :]
@@ -172,14 +178,17 @@ class RelationDynamics(LocalDynamics):
 
     def parameters(self, graph: EncodedGraph, dt: float) -> SpringMassDamper:
         """The parameters of every node at one step of `dt` [s], each [N, D]."""
-        dimension = graph.position.shape[-1]
+        bodies = graph.bodies
+        dimension = bodies.position.shape[-1]
         acting = self.accelerations(graph, dt) * graph.active[None, :, :, None]
-        total = jnp.zeros_like(graph.position)
+        total = jnp.zeros_like(bodies.position)
         total = total.at[graph.geometry.edge_index].add(jnp.sum(acting, axis=2))
-        still, mobile = jnp.zeros_like(graph.position), graph.nodes.mobile[:, None]
-        damping = graph.node_type @ jnp.exp(_PACE * self.log_damping)
+        still, mobile = jnp.zeros_like(bodies.position), bodies.nodes.mobile[:, None]
+        damping = bodies.node_type @ jnp.exp(_PACE * self.log_damping)
         response = jnp.repeat(
-            (graph.nodes.actuated * (graph.node_type @ self.gain))[:, None], dimension, 1
+            (bodies.nodes.actuated * (bodies.node_type @ self.gain))[:, None],
+            dimension,
+            1,
         )
         return SpringMassDamper(
             response=own_component(response, graph.control.shape[0]),
@@ -203,18 +212,18 @@ class RelationDynamics(LocalDynamics):
         The latter is the velocity ``after`` the step less that without any edge.
         """
         free = dataclasses.replace(graph, active=jnp.zeros_like(graph.active))
-        alone = self(free, dt)(graph.position, graph.velocity, graph.control)[1]
-        mobile = graph.nodes.mobile[:, None]
+        alone = self(free, dt)(graph.bodies.position, graph.bodies.velocity, graph.control)[1]
+        mobile = graph.bodies.nodes.mobile[:, None]
         return self._velocity_effects(graph, dt), jnp.where(mobile, after - alone, 0.0)
 
     def _velocity_effects(self, graph: EncodedGraph, dt: float) -> Float[Array, "N D E*active"]:
-        acting = self.accelerations(graph, dt)
+        bodies, acting = graph.bodies, self.accelerations(graph, dt)
         first, second = graph.geometry.edge_index
         _, edges, active, dimension = acting.shape
         edge = jnp.arange(edges)
-        effects = jnp.zeros((len(graph.position), edges, active, dimension), acting.dtype)
+        effects = jnp.zeros((len(bodies.position), edges, active, dimension), acting.dtype)
         effects = effects.at[first, edge].add(acting[0]).at[second, edge].add(acting[1])
-        effects = jnp.moveaxis(effects, -1, 1).reshape(len(graph.position), dimension, -1)
-        damping = graph.node_type @ jnp.exp(_PACE * self.log_damping)
+        effects = jnp.moveaxis(effects, -1, 1).reshape(len(bodies.position), dimension, -1)
+        damping = bodies.node_type @ jnp.exp(_PACE * self.log_damping)
         scale = dt / (1.0 + _HALF * dt * damping)
-        return jnp.where(graph.nodes.mobile, scale, 0.0)[:, None, None] * effects
+        return jnp.where(bodies.nodes.mobile, scale, 0.0)[:, None, None] * effects

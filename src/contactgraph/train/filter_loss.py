@@ -219,7 +219,7 @@ def denial_score(
     The improbability is that of the transition from free to free; what comes from the other types
     is what the data tell.
     """
-    still = stillness(graph.geometry)
+    still = jax.vmap(jax.vmap(lambda each: stillness(each.geometry)))(graph)
     touching = jax.lax.stop_gradient((1.0 - graph.prior[..., 0]) * still)  # [B, T, E]
     drawn = jax.random.categorical(key, jnp.log(touching + _SMALLEST), axis=1)
 

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.inference.contact_belief import (
     ContactBelief,
@@ -50,7 +50,7 @@ class MotionEvidence(eqx.Module):
     without_edges: Motion
     """[B, L, N, D] m and m/s; where each step would lead."""
     meeting: Meeting | None
-    """[B, L, ...] `EncodedGraph.meeting`. None: to be found again."""
+    """[B, L, ...] `Geometry.meeting` of `EncodedGraph.contact_points`. None: to be found again."""
     masses: MassBelief | None
     """[B, L, N] by the motion of all steps, hence alike. None: bodies of a type weigh the same."""
 
@@ -110,14 +110,15 @@ def _evidence(
     def apart(graph: EncodedGraph) -> Motion:
         inactive = jnp.zeros_like(graph.prior).at[:, 0].set(1.0)
         linear = model.linearize(model.cut_edges(graph, ContactBelief(inactive)))
-        return linear(graph.position, graph.velocity, graph.control)
+        return linear(graph.bodies.position, graph.bodies.velocity, graph.control)
 
     graph = encode_steps(model, windows, devices=devices)
     without_edges = each_step(apart, graph)
     ratio = each_step(judge, graph, (windows.position[:, 1:], windows.velocity[:, 1:]))
     types = jax.vmap(likeliest_types)(graph.prior, ratio)
     before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
-    return MotionEvidence(before, ratio, graph.prior, types, without_edges, graph.meeting, None)
+    meeting = graph.contact_points.meeting
+    return MotionEvidence(before, ratio, graph.prior, types, without_edges, meeting, None)
 
 
 def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:

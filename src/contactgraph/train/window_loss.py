@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EdgeList, EncodedGraph, edge_count
-from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
 from contactgraph.inference.motion_noise import Motion
@@ -132,7 +132,7 @@ def window_loss(
         graph: EncodedGraph, belief: ContactBelief, after: Motion, key: PRNGKeyArray
     ) -> Float[Array, " N"]:
         linear = model.linearize(model.cut_edges(graph, belief, key))
-        position, velocity = linear(graph.position, graph.velocity, graph.control)
+        position, velocity = linear(graph.bodies.position, graph.bodies.velocity, graph.control)
         error = jnp.sum(((position - after[0]) / model.dt) ** 2, axis=-1)
         return error + jnp.sum((velocity - after[1]) ** 2, axis=-1)
 

@@ -10,8 +10,13 @@ from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper, own_component
-from contactgraph.dynamics.local_dynamics import LocalDynamics, WithoutContacts
+from contactgraph.dynamics.local_dynamics import (
+    LinearDynamics,
+    LocalDynamics,
+    SpringMassDamper,
+    WithoutContacts,
+    own_component,
+)
 from contactgraph.inference.contact_belief import ContactBelief, without_change
 from contactgraph.inference.edge_inference import EdgeInference
 from contactgraph.inference.features import Features
@@ -200,7 +205,7 @@ class PerDegreeHead(WithoutContacts):
     ) -> SpringMassDamper:
         """Parameters of every node at one step."""
         out = jax.vmap(self.node)(embedding).reshape(-1, 4, self.dimension)
-        origin, anchor = graph.position, graph.nodes.anchor
+        origin, anchor = graph.bodies.position, graph.bodies.nodes.anchor
         if anchor is not None:
             origin = jnp.where(jnp.isfinite(anchor), anchor, origin)
         return SpringMassDamper(
@@ -210,6 +215,7 @@ class PerDegreeHead(WithoutContacts):
             equilibrium=origin + out[:, 3],
             equilibrium_velocity=jnp.zeros_like(origin),
             impact_displacement=jnp.zeros_like(origin),
+            acceleration=jnp.zeros_like(origin),
         )
 
 
