@@ -235,7 +235,7 @@ def config(**values: object):
             ),
             "sensor must be that of a model (miss must be 0 to 1, found 2.0)",
         ),
-        (config(edge_types=99), "edge_types must be 2 to 16"),
+        (config(edge_types=[{"name": "hold"}] * 16), "edge_types must be 1 to 15"),
         (config(dt=-1), "dt must be a positive number of seconds, found -1.0"),
         (config(impacts=[1]), "Expected `object`, got `array`"),
         (config(actuation={"hand": {"matrix": [["x"]]}}), "could not convert string to float: 'x'"),

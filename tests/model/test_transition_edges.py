@@ -21,6 +21,8 @@ from contactgraph.inference.edge_inference import EdgeClock, PriorEdges
 from contactgraph.inference.features import stillness
 from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     ContactBelief,
     ContactDynamics,
     ContactSensor,
@@ -30,9 +32,10 @@ from contactgraph.model import (
     TransitionEdges,
     correct,
     ours,
+    usual_edge_types,
 )
 
-STILL, NOTHING = jnp.zeros(2), nothing_active(3)
+STILL, NOTHING = jnp.zeros(2), nothing_active((TOUCH, HOLD))
 
 LEAST = 2e-3
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -43,7 +46,9 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
     network = EdgeNetwork(4 + 2, 8, key=jax.random.PRNGKey(0))
 
     def construct() -> TransitionEdges:
-        return TransitionEdges(network, node_types=2, edge_types=types, key=jax.random.PRNGKey(1))
+        return TransitionEdges(
+            network, node_types=2, edge_types=usual_edge_types(types), key=jax.random.PRNGKey(1)
+        )
 
     return construct() if seed is None else with_random_weights(construct, seed)
 
@@ -249,7 +254,7 @@ def test_the_rates_know_for_how_long_nothing_was_observed() -> None:
 
 
 def fresh(edge_types: int = 3) -> ContactDynamics:
-    config = ModelConfig(2, 2, DT, width=8, edge_types=edge_types)
+    config = ModelConfig(2, 2, DT, width=8, edge_types=usual_edge_types(edge_types))
     return ours(config, key=jax.random.PRNGKey(0))
 
 
@@ -276,8 +281,14 @@ def test_types_that_hold_start_apart(types, coupling) -> None:
 
 @pytest.mark.parametrize("types", [-1, 0, 1, 17])
 def test_a_number_of_edge_types_that_means_nothing_is_refused(types) -> None:
-    with pytest.raises(InvalidInputError, match=f"edge_types must be 2 to 16: .*found {types}"):
-        ModelConfig(2, 2, DT, edge_types=types)
+    with pytest.raises(InvalidInputError, match=f"edge types must be 2 to 16: .*found {types}"):
+        usual_edge_types(types)
+
+
+@pytest.mark.parametrize("types", [0, 16])
+def test_a_model_has_at_least_one_active_type_and_few(types) -> None:
+    with pytest.raises(InvalidInputError, match=f"edge_types must be 1 to 15 .*found {types}"):
+        ModelConfig(2, 2, DT, edge_types=types * (HOLD,))
 
 
 def model_and_state():
@@ -332,7 +343,7 @@ def test_a_list_of_pairs_changes_no_prediction() -> None:
     assert np.any(clocks == 0.0) and np.any(clocks > 0.0), "pairs beyond the cutoff have no clock"
 
 
-@pytest.mark.parametrize("inference", [None, PriorEdges(3, 2)])
+@pytest.mark.parametrize("inference", [None, PriorEdges((TOUCH, HOLD), 2)])
 def test_a_predicted_belief_has_the_parts_of_the_first_one(inference) -> None:
     """So that it can take its place in a loop, also with the inference replaced by the prior."""
     model, position, velocity, nodes = model_and_state()

@@ -12,7 +12,13 @@ from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, strip_contacts
 from contactgraph.inference.contact_belief import nothing_active
-from contactgraph.model import ContactSensor, ModelConfig, ours
+from contactgraph.model import (
+    HOLD,
+    TOUCH,
+    ContactSensor,
+    ModelConfig,
+    ours,
+)
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import judged_steps as reports_module
 from contactgraph.train.batch import Window
@@ -20,7 +26,7 @@ from contactgraph.train.filter_loss import _denial_score, filter_loss
 from contactgraph.train.judged_steps import judge_steps, random_reports
 from contactgraph.train.sensor_estimate import ReportedSteps, likeliest_sensor
 
-STILL, NOTHING = jnp.zeros(2), nothing_active(3)
+STILL, NOTHING = jnp.zeros(2), nothing_active((TOUCH, HOLD))
 
 MODEL = ours(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)

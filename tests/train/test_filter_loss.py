@@ -1,6 +1,7 @@
 """Losses of the filter: the score of every step by hand, and which part learns from which."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -10,7 +11,13 @@ import numpy as np
 import pytest
 from training import CONFIG, split, window_of
 
-from contactgraph.model import ContactBelief, ModelConfig, ours
+from contactgraph.model import (
+    HOLD,
+    TOUCH,
+    ContactBelief,
+    ModelConfig,
+    ours,
+)
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
 from contactgraph.train.batch import Window
 from contactgraph.train.filter_loss import (
@@ -204,7 +211,7 @@ def test_the_steps_around_it_tell_the_type_of_a_step_that_leaves_it_open() -> No
     ratio = jnp.tile(jnp.where(jnp.eye(3, dtype=bool), held, -6.0), (steps, 1, 1, 1))
     # By itself the fourth step would say free, by a little.
     ratio = ratio.at[3, 0].set(jnp.where(jnp.eye(3, dtype=bool), jnp.array([0.0, -1, -2]), -6.0))
-    likeliest = jax.jit(likeliest_types)
+    likeliest = jax.jit(partial(likeliest_types, edge_types=(TOUCH, HOLD)))
     types = np.argmax(likeliest(prior, ratio), axis=-1)
     np.testing.assert_array_equal(types, np.full((steps, 1), 2))
     # Without evidence geometry decides.

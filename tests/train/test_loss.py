@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 from training import window_of
 
-from contactgraph.model import PRESETS, LinearDynamics, ModelConfig, two_type_belief
+from contactgraph.model import (
+    HOLD,
+    PRESETS,
+    LinearDynamics,
+    ModelConfig,
+    two_type_belief,
+)
 from contactgraph.train import LossTerms
 from contactgraph.train.batch import Window
 from contactgraph.train.held_out import HeldOutWindows, rollout_rmse
@@ -44,7 +50,7 @@ class Still(eqx.Module):
 
     @property
     def edge_types(self):
-        return 2
+        return (HOLD,)
 
     def encode(self, position, velocity, control, nodes, before, meeting=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]

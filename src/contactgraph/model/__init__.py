@@ -1,7 +1,11 @@
 """The model: inference of active contact edges, and local dynamics given them."""
 
 from contactgraph.bodies.geometry import sum_at_nodes as sum_at_nodes
+from contactgraph.bodies.graph import HOLD as HOLD
+from contactgraph.bodies.graph import TOUCH as TOUCH
+from contactgraph.bodies.graph import EdgeType as EdgeType
 from contactgraph.bodies.graph import EncodedGraph as EncodedGraph
+from contactgraph.bodies.graph import usual_edge_types as usual_edge_types
 from contactgraph.bodies.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.bodies.message_passing import MessagePassing as MessagePassing
 from contactgraph.bodies.message_passing import TypedMessagePassing as TypedMessagePassing

@@ -90,12 +90,12 @@ class ContactDynamics(eqx.Module):
     def __check_init__(self) -> None:
         if not self.dt > 0:
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
-        active_types = self.inference.edge_types - 1
+        active_types = len(self.inference.edge_types)
         networks = len(self.local_dynamics.message_passing.types)
         if active_types < 1 or networks != active_types:
             raise InvalidInputError(
                 f"local_dynamics must have one message network for each of the {active_types} "
-                f"active edge types (edge_types less the inactive one), found {networks}"
+                f"active edge types (edge_types), found {networks}"
             )
         if self.neighbor_list is not None and not isinstance(self.cutoff, SmoothCutoff):
             raise InvalidInputError(
@@ -168,7 +168,8 @@ class ContactDynamics(eqx.Module):
             weight=weight,
             embedding=embedding,
             prior=self._prior(edge_geometry, weight),
-            active=jnp.repeat(weight[:, None], self.inference.edge_types - 1, axis=1),
+            active=jnp.repeat(weight[:, None], len(self.inference.edge_types), axis=1),
+            edge_types=self.inference.edge_types,
             group_capacity=None if capacity is None else capacity.groups,
         )
 
@@ -236,7 +237,7 @@ class ContactDynamics(eqx.Module):
 
     def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
         """The prior by distance, its active part spread evenly over the active types."""
-        return spread_over_types(self.prior(geometry) * weight, self.inference.edge_types)
+        return spread_over_types(self.prior(geometry) * weight, len(self.inference.edge_types))
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
@@ -253,7 +254,7 @@ class ContactDynamics(eqx.Module):
         cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
         joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
         memory = jax.tree.map(lambda each: each * graph.weight[:, None], free.memory)
-        return ContactBelief(types, graph.edge_id, memory), joint
+        return ContactBelief(types, graph.edge_id, memory, graph.edge_types), joint
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None
@@ -327,7 +328,7 @@ class ContactDynamics(eqx.Module):
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The belief of the inference before any observation."""
         first = self.inference.init(graph.embedding, graph.prior)
-        return dataclasses.replace(first, edge_id=graph.edge_id)
+        return dataclasses.replace(first, edge_id=graph.edge_id, edge_types=graph.edge_types)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes

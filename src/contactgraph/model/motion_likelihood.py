@@ -138,7 +138,7 @@ def edge_log_ratios(
     ) -> tuple[Float[Array, "E K"], Float[Array, "K K"]]:
         one_hot = jnp.eye(edge_types, dtype=types.dtype)
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
-        ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt)
+        ratios = noise.log_ratios(motions, observed, graph.nodes.mask, model.dt, graph.edge_types)
         ratios = ratios - ratios[0, 0]
         after = jnp.sum(pair_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
@@ -177,7 +177,7 @@ def motion_given_types(
     touch here at their closest approach. The likelihood is that of the motion if the edge does act;
     how probable that is at its distance is part of the belief.
     """
-    belief = ContactBelief(types)
+    belief = ContactBelief(types, edge_types=model.inference.edge_types)
     graph = model.encode(position, velocity, control, nodes, belief, meeting, as_touching=True)
     return model.linearize(model.cut_edges(graph, belief))(position, velocity, control)
 

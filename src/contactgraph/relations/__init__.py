@@ -192,7 +192,7 @@ def relations(config: ModelConfig, *, key: PRNGKeyArray) -> RelationModel:
     length, width = config.contact_distance, config.width or 32
     return RelationModel(
         inference=StaticEdges(len(types), config.edge_types),
-        local_dynamics=RelationDynamics(length, len(types), config.edge_types, width, key=key),
+        local_dynamics=RelationDynamics(length, len(types), len(config.edge_types), width, key=key),
         features=InvariantFeatures(length, learned=False, types=types),
         prior=ClosestApproachPrior(),
         cutoff=NoCutoff(),

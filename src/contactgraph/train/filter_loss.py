@@ -134,7 +134,8 @@ def given_steps(
         at: Motion = jax.tree.map(
             lambda own, seen: jnp.where(rolled_out, own, seen), state, recorded
         )
-        graph = model.encode(*at, control, window.nodes, ContactBelief(before))
+        believed = ContactBelief(before, edge_types=model.inference.edge_types)
+        graph = model.encode(*at, control, window.nodes, believed)
         linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
         after = linear(*at, control)
         return after, (*after, graph.weight > 0)
@@ -211,7 +212,7 @@ def _denial_score(
         types = predicted.type_probability
         stays = joint[..., 0, 0] / jnp.maximum(belief.type_probability[..., 0], _SMALLEST)
         score = -jnp.log(jnp.maximum(stays, _SMALLEST))
-        after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
+        after = dataclasses.replace(predicted, type_probability=jnp.where(denied, free, types))
         return jax.vmap(seen_or_not)(after, denied | seen), score
 
     believed = jnp.where(at_once[:, None, None], free, prior)
@@ -224,7 +225,8 @@ def _denial_score(
 def encoded_steps(model: ContactDynamics, windows: Window, judged: JudgedSteps) -> EncodedGraph:
     """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
     learned = dataclasses.replace(without_gradient(model), inference=model.inference)
-    return WindowSteps(learned, windows, 1).encode(ContactBelief(judged.before), judged.meeting)
+    before = ContactBelief(judged.before, edge_types=model.inference.edge_types)
+    return WindowSteps(learned, windows, 1).encode(before, judged.meeting)
 
 
 def predict_and_score(

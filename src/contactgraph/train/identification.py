@@ -97,7 +97,7 @@ def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B
     edges = edge_count(None, windows.position.shape[-2])
 
     def errors(window: Window) -> Float[Array, "L N G"]:
-        shape = _STEPS, edges, model.inference.edge_types
+        shape = _STEPS, edges, 1 + len(model.inference.edge_types)
         touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
         _, velocity, _ = given_steps(model, window, touching, touching, jnp.asarray(True))
         return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)

@@ -58,7 +58,8 @@ def estimate_sensor(model: ContactDynamics, dataset: Dataset) -> ContactSensor:
 
 def likeliest_sensor(model: ContactDynamics, parts: list[ReportedSteps]) -> ContactSensor:
     """`estimate_sensor` from encoded steps."""
-    kinds = (True, False) if model.inference.edge_types > 2 else (True,)
+    touches = any(each.unilateral for each in model.inference.edge_types)
+    kinds = (True, False) if touches else (True,)
     found = [
         _settled(model, parts, ContactSensor(0.05, 0.05, touch, delay))
         for touch in kinds
