@@ -6,6 +6,7 @@ the active edges), and the linear step. Training encodes all states at once, the
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from contactgraph.bodies.graph import (
     Bodies,
     EdgeList,
     EncodedGraph,
+    GroupCapacity,
     all_pairs,
     edge_count,
     edge_nodes,
@@ -28,7 +30,7 @@ from contactgraph.data.graph import pair_count
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.data.turns import coordinate_count
 from contactgraph.dynamics.linear_dynamics import LinearDynamics, SpringMassDamper
-from contactgraph.dynamics.local_dynamics import LocalDynamics, SpringMassDamperDynamics
+from contactgraph.dynamics.local_dynamics import LocalDynamics
 from contactgraph.inference.contact_belief import (
     ArgmaxSample,
     ContactBelief,
@@ -37,10 +39,9 @@ from contactgraph.inference.contact_belief import (
     nothing_active,
     spread_over_types,
 )
-from contactgraph.inference.edge_inference import EdgeInference
+from contactgraph.inference.edge_inference import EdgeInference, NoCutoff, SmoothCutoff
 from contactgraph.inference.features import Features, shaped
 from contactgraph.inference.motion_noise import PredictionNoise
-from contactgraph.inference.prior import NoCutoff, SmoothCutoff
 from contactgraph.model.step import ModelState, rollout, take_step
 
 _TOUCHING = 1.02
@@ -97,7 +98,7 @@ class ContactDynamics(eqx.Module):
                 f"local_dynamics must have one message network for each of the {active_types} "
                 f"active edge types (edge_types), found {networks}"
             )
-        if self.neighbor_list is not None and not isinstance(self.cutoff, SmoothCutoff):
+        if self.neighbor_list is not None and not math.isfinite(self.cutoff.outer):
             raise InvalidInputError(
                 "neighbor_list: lists of near pairs need a SmoothCutoff, beyond which no edge is "
                 f"active; found {type(self.cutoff).__name__}"
@@ -121,19 +122,26 @@ class ContactDynamics(eqx.Module):
         """
         bodies = self._bodies(position, velocity, nodes)
         nodes, edges = bodies.nodes, all_pairs(len(position))
-        if self.neighbor_list is None and meeting is None:
-            meeting = self.features.meeting(nodes, position, edges.edge_index)
-        displacement = self._control_displacement(bodies, control, before, meeting)
-        if self.neighbor_list is not None:
-            moved = position, velocity, displacement, nodes.anchor, self.dt
-            bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
-            assert isinstance(self.cutoff, SmoothCutoff)
+        if self.neighbor_list is None:
+            if meeting is None:
+                meeting = self.features.meeting(nodes, position, edges.edge_index)
+            displacement = self._control_displacement(bodies, control, before, meeting)
+        else:
+            displacement = self._control_displacement(bodies, control, before, None)
+            bound = travel_bound(
+                position,
+                velocity,
+                displacement,
+                nodes.anchor,
+                self.dt,
+                half_size=nodes.half_size,
+                outlines=nodes.outlines,
+            )
             places = position[:, : self.dimension]
             edges = self.neighbor_list(places, bound, nodes.mask, self.cutoff.outer)
             meeting = self.features.meeting(nodes, position, edges.edge_index)
-        assert meeting is not None
         # A step that exceeds a capacity predicts NaN for every node.
-        moving = velocity if edges.edge_id is None else jnp.where(edges.fits, velocity, jnp.nan)
+        moving = jnp.where(edges.fits, velocity, jnp.nan)
         bodies = bodies._replace(velocity=moving)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
@@ -150,7 +158,6 @@ class ContactDynamics(eqx.Module):
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, control)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
-        capacity = self.neighbor_list
         return EncodedGraph(
             position=position,
             velocity=velocity,
@@ -170,8 +177,12 @@ class ContactDynamics(eqx.Module):
             prior=self._prior(edge_geometry, weight),
             active=jnp.repeat(weight[:, None], len(self.inference.edge_types), axis=1),
             edge_types=self.inference.edge_types,
-            group_capacity=None if capacity is None else capacity.groups,
+            group_capacity=self._group_capacity,
         )
+
+    @property
+    def _group_capacity(self) -> GroupCapacity | None:
+        return None if self.neighbor_list is None else self.neighbor_list.groups
 
     def _bodies(self, position: Array, velocity: Array, nodes: Nodes) -> Bodies:
         nodes = shaped(nodes, self.features, self.dimension)
@@ -205,7 +216,7 @@ class ContactDynamics(eqx.Module):
             held,
             holds.astype(bodies.position.dtype),
             dt=self.dt,
-            capacity=None if self.neighbor_list is None else self.neighbor_list.groups,
+            capacity=self._group_capacity,
         )
         return None if displacement is None else displacement.astype(bodies.velocity.dtype)
 
@@ -351,8 +362,6 @@ class ContactDynamics(eqx.Module):
         self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
     ) -> SpringMassDamper:
         """Parameters of the next step, each [N, D]; `TypeError` where the dynamics have none."""
-        if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
-            raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         graph = self.encode_state(state, control, nodes)
         graph = self.cut_edges(graph, self.predict_belief(state.belief, graph))
         return self.local_dynamics.parameters(graph, self.dt)

@@ -11,6 +11,8 @@ and the predicted probabilities of the pairs are multiplied by $e^{\ell_{ij}}$. 
 predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -54,9 +56,9 @@ def motion_noise(
     )
 
 
-def check_motion_model(model: object) -> ContactDynamics:
+def check_motion_model(model: Any) -> ContactDynamics:
     """The model, if motion can be judged by it; else raises `InvalidInputError`."""
-    if not isinstance(model, ContactDynamics):
+    if not hasattr(model, "predict_joint"):
         raise InvalidInputError(
             "motion_noise: the model must be a ContactDynamics, which predicts the motion with and "
             f"without each contact, found {type(model).__name__}"

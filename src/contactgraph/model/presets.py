@@ -29,10 +29,16 @@ from contactgraph.dynamics.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.inference.contact_belief import ArgmaxSample
-from contactgraph.inference.edge_inference import EdgeInference, PriorEdges, TransitionEdges
+from contactgraph.inference.edge_inference import (
+    ClosestApproachPrior,
+    EdgeInference,
+    NoCutoff,
+    PriorEdges,
+    SmoothCutoff,
+    TransitionEdges,
+)
 from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import PredictionNoise
-from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper import MemorylessEdges, RecurrentEdges
 

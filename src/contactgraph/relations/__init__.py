@@ -17,9 +17,9 @@ from contactgraph.bodies.graph import EncodedGraph, all_pairs
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
+from contactgraph.inference.edge_inference import ClosestApproachPrior, NoCutoff
 from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import Motion, MotionNoise
-from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig
 from contactgraph.model.step import ModelState
