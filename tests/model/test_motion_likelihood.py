@@ -24,7 +24,7 @@ from contactgraph.model import (
     two_type_belief,
     usual_edge_types,
 )
-from contactgraph.model.motion_likelihood import edge_log_ratios
+from contactgraph.model.motion_likelihood import edge_log_ratios, most_probable
 
 NOISE = MotionNoise()
 REST = jnp.zeros(2)
@@ -44,7 +44,8 @@ def _judge(model, state, control, observed, nodes, noise) -> Judged:
     """`correct_by_motion`, and the evidence for it."""
     graph = model.encode_state(state, control, nodes)
     predicted, joint = model.predict_joint(state.belief, graph)
-    ratios = edge_log_ratios(model, graph, joint, observed, noise)
+    first = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
+    ratios = edge_log_ratios(model, graph, joint, observed, noise, first)
     corrected = correct_by_motion(model, predicted, state, control, observed, nodes, noise)
     return Judged(predicted, ratios[:, 1, 1] - ratios[:, 0, 0], corrected)
 

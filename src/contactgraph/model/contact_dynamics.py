@@ -158,6 +158,7 @@ class ContactDynamics(eqx.Module):
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, control)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
+        edge_types = self.inference.edge_types
         return EncodedGraph(
             position=position,
             velocity=velocity,
@@ -174,9 +175,9 @@ class ContactDynamics(eqx.Module):
             edge_features=edge_features,
             weight=weight,
             embedding=embedding,
-            prior=self._prior(edge_geometry, weight),
-            active=jnp.repeat(weight[:, None], len(self.inference.edge_types), axis=1),
-            edge_types=self.inference.edge_types,
+            prior=spread_over_types(self.prior(edge_geometry) * weight, len(edge_types)),
+            active=jnp.repeat(weight[:, None], len(edge_types), axis=1),
+            edge_types=edge_types,
             group_capacity=self._group_capacity,
         )
 
@@ -245,10 +246,6 @@ class ContactDynamics(eqx.Module):
             coasting=self.local_dynamics.coasting(bodies, dt),
             speed=self.features.speed,
         )
-
-    def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
-        """The prior by distance, its active part spread evenly over the active types."""
-        return spread_over_types(self.prior(geometry) * weight, len(self.inference.edge_types))
 
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""

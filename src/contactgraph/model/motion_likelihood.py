@@ -99,7 +99,8 @@ def correct_by_motion(
     def by_edge() -> ContactBelief:
         graph = model.encode_state(before, control, nodes)
         predicted, joint = model.predict_joint(before.belief, graph)
-        ratios = edge_log_ratios(model, graph, joint, observed, noise)
+        first = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
+        ratios = edge_log_ratios(model, graph, joint, observed, noise, first)
         return posterior_by_motion(predicted, joint, ratios)
 
     usable, own = both_finite(before, observed), getattr(model, "with_motion", None)
@@ -114,16 +115,15 @@ def edge_log_ratios(
     joint: Float[Array, "E K K"],
     observed: Motion,
     noise: MotionNoise,
-    types: Float[Array, "E K"] | None = None,
+    types: Float[Array, "E K"],
 ) -> Float[Array, "E K K"]:
     """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
     Each is less that without the edge. ``graph`` is of the state from which the step begins, and
     ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. One edge is
-    judged after the other; those not judged yet have ``types``, where given, else the most probable
-    ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
+    judged after the other; those not judged yet have ``types``, one-hot. Edges that are farther
+    than the nearest few, or beyond the cutoff, have 0.
     """
-
     noise = noise.at(graph.velocity, model.dt)
 
     def moved(types: Float[Array, "E K"]) -> Motion:
@@ -156,8 +156,6 @@ def edge_log_ratios(
         types, ratio = judge(types, edges[index])
         return index + 1, types, ratios.at[edges[index]].set(ratio.astype(ratios.dtype))
 
-    if types is None:
-        types = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
     first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
 
