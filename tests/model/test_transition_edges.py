@@ -27,6 +27,7 @@ from contactgraph.model import (
     ContactDynamics,
     ContactSensor,
     EdgeNetwork,
+    EdgeType,
     ModelConfig,
     ModelState,
     TransitionEdges,
@@ -277,6 +278,31 @@ def test_types_that_hold_start_apart(types, coupling) -> None:
     assert found[0] == pytest.approx(0.0, abs=1e-3), "free"
     # A damper of c / (1 - c) kg between two bodies of 1 kg takes 2 c / (1 + c).
     np.testing.assert_allclose(found[1:] / (2.0 - found[1:]), coupling, atol=0.1)
+
+
+def test_the_law_follows_the_types_in_any_order_and_leaves_others_alone() -> None:
+    """Bodies that approach each other; the networks of the types are the same in another order."""
+    position = jnp.array([[0.0, 0.0], [0.08, 0.0]])
+    velocity = jnp.array([[0.1, 0.1], [-0.1, 0.0]])
+    usual = fresh()
+    touch, hold = usual.local_dynamics.message_passing.types
+    kinds = {"hold": (HOLD, hold), "magnet": (EdgeType("magnet"), hold), "touch": (TOUCH, touch)}
+    config = ModelConfig(2, 2, DT, width=8, edge_types=tuple(kind for kind, _ in kinds.values()))
+    networks = [network for _, network in kinds.values()]
+    other = ours(config, key=jax.random.PRNGKey(0))
+    where = lambda each: (each.local_dynamics.message_passing.types, each.local_dynamics.head)  # noqa: E731
+    other = eqx.tree_at(where, other, (networks, usual.local_dynamics.head))
+
+    @eqx.filter_jit
+    def moved(model: ContactDynamics, index: int) -> jax.Array:
+        types = jax.nn.one_hot(jnp.array([index]), 1 + len(model.inference.edge_types))
+        graph = model.encode(position, velocity, STILL, nodes_of(2), NOTHING)
+        cut = model.cut_edges(graph, ContactBelief(types, edge_types=model.inference.edge_types))
+        return model.linearize(cut)(position, velocity, STILL)[1]
+
+    for index, same in ((0, 0), (3, 1), (1, 2), (2, 0)):
+        np.testing.assert_allclose(moved(other, index), moved(usual, same), atol=1e-6)
+    assert not np.allclose(moved(usual, 1), moved(usual, 2)), "a touch does not pull"
 
 
 @pytest.mark.parametrize("types", [-1, 0, 1, 17])
