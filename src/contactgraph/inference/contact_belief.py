@@ -137,7 +137,7 @@ class ContactSensor(eqx.Module):
     miss: float | Float[Array, " E"] = 1e-5
     """Probability that it reports none where there is contact."""
     reports_touch: bool = eqx.field(static=True, default=True)
-    """Whether contact is also an edge that only touches; else one that holds alone."""
+    """Whether contact is also an edge that only touches; else one that holds."""
     delay: int = eqx.field(static=True, default=0)
     """Steps from a contact to its report."""
 
