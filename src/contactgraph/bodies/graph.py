@@ -1,5 +1,6 @@
 """The graph of one step: its bodies, and which pairs of them are edges."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -66,9 +67,9 @@ def usual_edge_types(count: int) -> tuple[EdgeType, ...]:
     return (HOLD,) if count == 2 else (TOUCH, HOLD, *soft)
 
 
-def first_that_holds(edge_types: tuple[EdgeType, ...]) -> int:
-    """Its place among all types; 1, the first active one, where none holds."""
-    return 1 + next((n for n, each in enumerate(edge_types) if each.holds), 0)
+def first_where(active: Iterable[bool]) -> int:
+    """Place among all types of the first active one that is so; 1 where none is."""
+    return 1 + next((n for n, each in enumerate(active) if each), 0)
 
 
 class Edges(eqx.Module):

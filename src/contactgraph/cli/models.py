@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from contactgraph.bodies.graph import first_that_holds, usual_edge_types
+from contactgraph.bodies.graph import first_where, usual_edge_types
 from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.identify import Facts, identify, relation_facts, scene_facts
@@ -120,7 +120,11 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     active edges have. Of two types they are the same.
     """
     types = model.inference.edge_types
-    active_types = {"learned": None, "prior-touch": 1, "prior-hold": first_that_holds(types)}
+    active_types = {
+        "learned": None,
+        "prior-touch": first_where(each.unilateral for each in types),
+        "prior-hold": first_where(each.holds for each in types),
+    }
     active_type = choice("--inference", name, active_types)
     if active_type is None:
         return model

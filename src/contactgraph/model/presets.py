@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from jaxtyping import PRNGKeyArray
 
-from contactgraph.bodies.graph import HOLD, MOST_EDGE_TYPES, TOUCH, EdgeType
+from contactgraph.bodies.graph import HOLD, MOST_EDGE_TYPES, TOUCH, EdgeType, first_where
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.dynamics.actuation import Actuation, ActuationFit
@@ -205,7 +205,9 @@ def ours(
     noise: PredictionNoise | None = None
     edges: EdgeInference = PriorEdges(least=1.0)
     if filtered and config.identified:  # Nothing holds another, and outlines tell where they touch.
-        edges = PriorEdges(config.edge_types)
+        edges = PriorEdges(
+            config.edge_types, first_where(each.unilateral for each in config.edge_types)
+        )
     elif filtered:
         node_types, commands = features.node_types, config.control_size - driving
         edges = TransitionEdges(

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from contactgraph.bodies.graph import edge_count
+from contactgraph.bodies.graph import edge_count, first_where
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.data.windows import window_weights
 from contactgraph.dynamics.contact_law import ContactLaw
@@ -97,8 +97,9 @@ def _velocity_errors(model: ContactDynamics, windows: Window) -> Float[Array, "B
     edges = edge_count(None, windows.position.shape[-2])
 
     def errors(window: Window) -> Float[Array, "L N G"]:
-        shape = _STEPS, edges, 1 + len(model.inference.edge_types)
-        touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
+        types = model.inference.edge_types
+        touch = jax.nn.one_hot(first_where(each.unilateral for each in types), 1 + len(types))
+        touching = jnp.broadcast_to(touch, (_STEPS, edges, len(touch)))
         _, velocity, _ = given_steps(model, window, touching, touching, jnp.asarray(True))
         return jnp.where(window.learned[:, None], velocity - window.velocity[1:], 0.0)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.bodies.graph import EdgeType, EncodedGraph, first_that_holds
+from contactgraph.bodies.graph import EdgeType, EncodedGraph, first_where
 from contactgraph.bodies.shapes import Meeting
 from contactgraph.inference.contact_belief import (
     ContactBelief,
@@ -71,8 +71,8 @@ def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
     because of all its bonds: were the others taken for touches, each would seem to be one, and the
     dynamics would learn masses with which that is true.
     """
-    types = prior.type_probability
-    index = jnp.where(types[..., 0] < 0.5, first_that_holds(prior.edge_types), 0)
+    types, hold = prior.type_probability, first_where(each.holds for each in prior.edge_types)
+    index = jnp.where(types[..., 0] < 0.5, hold, 0)
     return jax.nn.one_hot(index, types.shape[-1], dtype=types.dtype)
 
 
