@@ -12,6 +12,8 @@ from contactgraph.data import Dataset, split_by_trajectory
 from contactgraph.envs import ExplorationPolicy, PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     Actuation,
     ArgmaxSample,
     ContactDynamics,
@@ -37,7 +39,7 @@ def messages(key: jax.Array) -> MessagePassing:
 
 
 model = ContactDynamics(
-    inference=MemorylessEdges(messages(edges_key), edge_types=3, key=output_key),
+    inference=MemorylessEdges(messages(edges_key), edge_types=(TOUCH, HOLD), key=output_key),
     local_dynamics=SpringMassDamperDynamics(
         message_passing=TypedMessagePassing([messages(key) for key in type_keys]),
         head=ContactLaw(WIDTH, 2, length=DISTANCE, actuation=Actuation(2, 2, 2), key=head_key),

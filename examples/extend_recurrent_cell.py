@@ -14,9 +14,11 @@ import jax.numpy as jnp
 
 from contactgraph.envs import PickupTask
 from contactgraph.model import (
+    HOLD,
     ContactBelief,
     EdgeInference,
     EdgeNetwork,
+    EdgeType,
     Inference,
     ModelConfig,
     ModelState,
@@ -32,7 +34,7 @@ class LeakyEdges(EdgeInference):
     messages: EdgeNetwork
     output: eqx.nn.Linear
     leak: jax.Array
-    edge_types: int = eqx.field(static=True, default=2)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=(HOLD,))
 
     def embed(self, node, edge, weight, edge_index):
         """Scores [E, K] of the edge types, from the messages along every edge."""

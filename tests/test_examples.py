@@ -23,6 +23,7 @@ PRINTS = {
     "07_learn_cost.py": "new goals: 100 %",
     "extend_edge_feature.py": "approach at +1 m/s: feature +0.50",
     "extend_edge_friction.py": "friction slows the sliding",
+    "extend_edge_type.py": "cm; 2 times less with a spring",
     "extend_environment.py": "the fixed start succeeds in 5 of 5 scenes",
     "extend_metric.py": "touches not predicted on time",
     "extend_planner_mppi.py": "nearer",

@@ -19,6 +19,7 @@ from contactgraph.data import (
 )
 from contactgraph.evaluate import SensorFaults
 from contactgraph.model import (
+    HOLD,
     ContactSensor,
     ModelConfig,
     PriorEdges,
@@ -75,9 +76,9 @@ def test_the_geometric_prior_takes_the_place_of_inference(
     kinds = [type(model.inference).__name__ for model in models]
     assert kinds == ["TransitionEdges", "PriorEdges", "PriorEdges"]
     assert [model.inference.active_type for model in models[1:]] == [1, 2]
-    two_types = ours(ModelConfig(2, 2, 0.05, width=4, edge_types=2), key=jax.random.key(0))
+    two_types = ours(ModelConfig(2, 2, 0.05, width=4, edge_types=(HOLD,)), key=jax.random.key(0))
     for name in ("prior-touch", "prior-hold"):  # the only active type holds
-        assert with_inference(two_types, name).inference == PriorEdges(2, 1)
+        assert with_inference(two_types, name).inference == PriorEdges((HOLD,), 1)
     with pytest.raises(InvalidInputError, match="--inference must be one of learned, prior-touch"):
         with_inference(two_types, "prior")
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from control_models import nodes_of
 
-from contactgraph.control import chain_cost
+from contactgraph.control import InteractionCutoff, chain_cost
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.control.subproblem import (
     ActiveBounds,
@@ -15,7 +15,7 @@ from contactgraph.control.subproblem import (
     required_nodes,
 )
 from contactgraph.data import pair_indices
-from contactgraph.model import InteractionCutoff, Nodes
+from contactgraph.model import Nodes
 
 NEAR = InteractionCutoff(distance=0.2, dt=0.1)
 HORIZON = 10

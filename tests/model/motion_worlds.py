@@ -9,9 +9,11 @@ from model_scenes import DT, preset
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
+    HOLD,
     ContactBelief,
     ContactDynamics,
     EdgeInference,
+    EdgeType,
     LinearDynamics,
     ModelState,
     WithoutContacts,
@@ -56,7 +58,7 @@ class Keeps(EdgeInference):
     """Believes of the coming step what it believed of the last, times a factor."""
 
     factor: float = 1.0
-    edge_types: int = eqx.field(static=True, default=2)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=(HOLD,))
 
     def predict(self, belief: ContactBelief, embedding, prior):
         return without_change(two_type_belief(self.factor * belief.probability))

@@ -17,8 +17,11 @@ from model_scenes import nodes_of
 from contactgraph.data import InvalidInputError, TrajectoryBatch
 from contactgraph.inference.contact_belief import late_rate
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     ContactBelief,
     ContactSensor,
+    EdgeType,
     ModelConfig,
     correct,
     default_sensor,
@@ -52,6 +55,21 @@ def test_bayes_by_hand() -> None:
     np.testing.assert_allclose(corrected(0.3, 0.0), 0.3 * 0.1 / (0.3 * 0.1 + 0.7 * 0.98), rtol=1e-5)
     # Half sure of contact: each likelihood is the mean of the two.
     np.testing.assert_allclose(corrected(0.3, 0.5), 0.3 * 0.5 / (0.3 * 0.5 + 0.7 * 0.5), rtol=1e-5)
+
+
+def test_what_a_sensor_reports_follows_from_the_types_in_any_order() -> None:
+    types = (HOLD, EdgeType("magnet"), TOUCH)
+    prior = np.array([[0.1, 0.2, 0.3, 0.4]])
+    belief = ContactBelief(jnp.array(prior), edge_types=types)
+    np.testing.assert_allclose(belief.holding, 0.2, rtol=1e-6)
+    np.testing.assert_allclose(belief.contact, 0.6, rtol=1e-6)
+    np.testing.assert_allclose(belief.probability, 0.9, rtol=1e-6)
+    for touch, reported in ((True, [0, 1, 0, 1]), (False, [0, 1, 0, 0])):
+        sensor = dataclasses.replace(SENSOR, reports_touch=touch)
+        found = correct(belief, jnp.ones(1), sensor)
+        expected = prior * np.where(reported, 0.9, 0.02)
+        np.testing.assert_allclose(found.type_probability, expected / expected.sum(), rtol=1e-5)
+        assert found.edge_types == types
 
 
 @pytest.mark.parametrize("measurement", [0.0, 1.0, 0.5])

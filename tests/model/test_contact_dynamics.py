@@ -23,6 +23,8 @@ from model_scenes import (
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     Actuation,
     ArgmaxSample,
     ContactBelief,
@@ -364,7 +366,9 @@ def three_types() -> ContactDynamics:
     sizes = (features.node_size(2), features.edge_size(2), 8)
     networks = [MessagePassing(*sizes, key=key) for key in keys[:2]]
     return ContactDynamics(
-        inference=RecurrentEdges(MessagePassing(*sizes, key=keys[2]), edge_types=3, key=keys[3]),
+        inference=RecurrentEdges(
+            MessagePassing(*sizes, key=keys[2]), edge_types=(TOUCH, HOLD), key=keys[3]
+        ),
         local_dynamics=SpringMassDamperDynamics(
             message_passing=TypedMessagePassing(networks),
             head=ContactLaw(8, 2, length=0.1, actuation=Actuation(2, 2, 2), key=keys[4]),

@@ -23,7 +23,14 @@ from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.dynamics.body_types import DECELERATION, PACE
 from contactgraph.inference.contact_belief import nothing_active
-from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
+from contactgraph.model import (
+    HOLD,
+    TOUCH,
+    ContactDynamics,
+    ModelConfig,
+    ModelState,
+    scene_nodes,
+)
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 
@@ -292,7 +299,9 @@ def test_places_that_are_known_are_not_found_again() -> None:
     position, velocity = map(jnp.asarray, (drawn(1, 0.08)[0], 0.1 * drawn(1, 1.0, 1)[0]))
 
     def encoded(meeting: Meeting | None) -> EncodedGraph:
-        return encode(model(), position, velocity, jnp.zeros(0), nodes, nothing_active(3), meeting)
+        return encode(
+            model(), position, velocity, jnp.zeros(0), nodes, nothing_active((TOUCH, HOLD)), meeting
+        )
 
     graph = encoded(None)
     known = encoded(graph.contact_points)

@@ -12,6 +12,8 @@ from model_scenes import compiled
 
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     ArgmaxSample,
     ContactBelief,
     EdgeNetwork,
@@ -22,6 +24,7 @@ from contactgraph.model import (
     RecurrentEdges,
     TypedMessagePassing,
     two_type_belief,
+    usual_edge_types,
 )
 
 NODES, NODE_SIZE, EDGE_SIZE, WIDTH = 4, 3, 2, 8
@@ -101,7 +104,7 @@ def test_memoryless_edges_ignore_the_belief() -> None:
 
 @pytest.mark.parametrize("types", [2, 3])
 def test_all_edges_are_surely_active(types) -> None:
-    edges = PriorEdges(types, least=1.0)
+    edges = PriorEdges(usual_edge_types(types), least=1.0)
     belief = ContactBelief(jnp.full((EDGES, types), 1.0 / types))
     found, _ = edges.predict(belief, edges.embed(*graph(), ENDS), belief.type_probability)
     np.testing.assert_array_equal(found.type_probability, np.eye(types)[[1] * EDGES])
@@ -111,7 +114,7 @@ def test_all_edges_are_surely_active(types) -> None:
 def test_prior_edges_forget_the_belief_and_put_all_of_the_prior_into_one_type(
     active_type, expected
 ) -> None:
-    edges = PriorEdges(3, active_type)
+    edges = PriorEdges((TOUCH, HOLD), active_type)
     prior = jnp.tile(jnp.array([0.7, 0.15, 0.15]), (EDGES, 1))
     for certain in np.eye(3):
         belief = ContactBelief(jnp.tile(certain, (EDGES, 1)))

@@ -14,10 +14,12 @@ from hypothesis import given, settings
 from model_scenes import DT, PRESETS, preset
 
 from contactgraph.data import InvalidInputError
-from contactgraph.model import PRESETS as NAMED
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     ActuationFit,
     ContactDynamics,
+    EdgeType,
     GumbelSample,
     Impacts,
     ModelConfig,
@@ -27,6 +29,9 @@ from contactgraph.model import (
     save_model,
     shipped_model,
     shipped_models,
+)
+from contactgraph.model import (
+    PRESETS as NAMED,
 )
 
 
@@ -63,6 +68,10 @@ CONFIGS = {
     "known distance": (
         "ours-recurrent",
         ModelConfig(3, 2, DT, width=4, learned_contact_distance=False),
+    ),
+    "edge types": (
+        "ours",
+        ModelConfig(2, 2, DT, width=4, edge_types=(HOLD, EdgeType("magnet"), TOUCH)),
     ),
     "types": (
         "ours",
@@ -235,7 +244,7 @@ def config(**values: object):
             ),
             "sensor must be that of a model (miss must be 0 to 1, found 2.0)",
         ),
-        (config(edge_types=99), "edge_types must be 2 to 16"),
+        (config(edge_types=[{"name": "hold"}] * 16), "edge_types must be 1 to 15"),
         (config(dt=-1), "dt must be a positive number of seconds, found -1.0"),
         (config(impacts=[1]), "Expected `object`, got `array`"),
         (config(actuation={"hand": {"matrix": [["x"]]}}), "could not convert string to float: 'x'"),

@@ -10,6 +10,7 @@ from model_scenes import DT, compiled, crowd, nodes_of
 
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.model import (
+    HOLD,
     ContactSensor,
     ModelConfig,
     correct,
@@ -46,7 +47,7 @@ def with_spring_law(model, share=1.0):
 
 @pytest.fixture(scope="module")
 def springs():
-    config = ModelConfig(2, 2, DT, contact_distance=0.3, width=8, edge_types=2)
+    config = ModelConfig(2, 2, DT, contact_distance=0.3, width=8, edge_types=(HOLD,))
     return with_spring_law(relations(config, key=jax.random.key(0)))
 
 

@@ -21,18 +21,22 @@ from contactgraph.inference.edge_inference import EdgeClock, PriorEdges
 from contactgraph.inference.features import stillness
 from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
+    HOLD,
+    TOUCH,
     ContactBelief,
     ContactDynamics,
     ContactSensor,
     EdgeNetwork,
+    EdgeType,
     ModelConfig,
     ModelState,
     TransitionEdges,
     correct,
     ours,
+    usual_edge_types,
 )
 
-STILL, NOTHING = jnp.zeros(2), nothing_active(3)
+STILL, NOTHING = jnp.zeros(2), nothing_active((TOUCH, HOLD))
 
 LEAST = 2e-3
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -43,7 +47,9 @@ def edges(types: int, seed: int | None = None) -> TransitionEdges:
     network = EdgeNetwork(4 + 2, 8, key=jax.random.PRNGKey(0))
 
     def construct() -> TransitionEdges:
-        return TransitionEdges(network, node_types=2, edge_types=types, key=jax.random.PRNGKey(1))
+        return TransitionEdges(
+            network, node_types=2, edge_types=usual_edge_types(types), key=jax.random.PRNGKey(1)
+        )
 
     return construct() if seed is None else with_random_weights(construct, seed)
 
@@ -249,7 +255,7 @@ def test_the_rates_know_for_how_long_nothing_was_observed() -> None:
 
 
 def fresh(edge_types: int = 3) -> ContactDynamics:
-    config = ModelConfig(2, 2, DT, width=8, edge_types=edge_types)
+    config = ModelConfig(2, 2, DT, width=8, edge_types=usual_edge_types(edge_types))
     return ours(config, key=jax.random.PRNGKey(0))
 
 
@@ -274,10 +280,41 @@ def test_types_that_hold_start_apart(types, coupling) -> None:
     np.testing.assert_allclose(found[1:] / (2.0 - found[1:]), coupling, atol=0.1)
 
 
+def test_the_law_follows_the_types_in_any_order_and_leaves_others_alone() -> None:
+    """Bodies that approach each other; the networks of the types are the same in another order."""
+    position = jnp.array([[0.0, 0.0], [0.08, 0.0]])
+    velocity = jnp.array([[0.1, 0.1], [-0.1, 0.0]])
+    usual = fresh()
+    touch, hold = usual.local_dynamics.message_passing.types
+    kinds = {"hold": (HOLD, hold), "magnet": (EdgeType("magnet"), hold), "touch": (TOUCH, touch)}
+    config = ModelConfig(2, 2, DT, width=8, edge_types=tuple(kind for kind, _ in kinds.values()))
+    networks = [network for _, network in kinds.values()]
+    other = ours(config, key=jax.random.PRNGKey(0))
+    where = lambda each: (each.local_dynamics.message_passing.types, each.local_dynamics.head)  # noqa: E731
+    other = eqx.tree_at(where, other, (networks, usual.local_dynamics.head))
+
+    @eqx.filter_jit
+    def moved(model: ContactDynamics, index: int) -> jax.Array:
+        types = jax.nn.one_hot(jnp.array([index]), 1 + len(model.inference.edge_types))
+        graph = model.encode(position, velocity, STILL, nodes_of(2), NOTHING)
+        cut = model.cut_edges(graph, ContactBelief(types, edge_types=model.inference.edge_types))
+        return model.linearize(cut)(position, velocity, STILL)[1]
+
+    for index, same in ((0, 0), (3, 1), (1, 2), (2, 0)):
+        np.testing.assert_allclose(moved(other, index), moved(usual, same), atol=1e-6)
+    assert not np.allclose(moved(usual, 1), moved(usual, 2)), "a touch does not pull"
+
+
 @pytest.mark.parametrize("types", [-1, 0, 1, 17])
 def test_a_number_of_edge_types_that_means_nothing_is_refused(types) -> None:
-    with pytest.raises(InvalidInputError, match=f"edge_types must be 2 to 16: .*found {types}"):
-        ModelConfig(2, 2, DT, edge_types=types)
+    with pytest.raises(InvalidInputError, match=f"edge types must be 2 to 16: .*found {types}"):
+        usual_edge_types(types)
+
+
+@pytest.mark.parametrize("types", [0, 16])
+def test_a_model_has_at_least_one_active_type_and_few(types) -> None:
+    with pytest.raises(InvalidInputError, match=f"edge_types must be 1 to 15 .*found {types}"):
+        ModelConfig(2, 2, DT, edge_types=types * (HOLD,))
 
 
 def model_and_state():
@@ -332,7 +369,7 @@ def test_a_list_of_pairs_changes_no_prediction() -> None:
     assert np.any(clocks == 0.0) and np.any(clocks > 0.0), "pairs beyond the cutoff have no clock"
 
 
-@pytest.mark.parametrize("inference", [None, PriorEdges(3, 2)])
+@pytest.mark.parametrize("inference", [None, PriorEdges((TOUCH, HOLD), 2)])
 def test_a_predicted_belief_has_the_parts_of_the_first_one(inference) -> None:
     """So that it can take its place in a loop, also with the inference replaced by the prior."""
     model, position, velocity, nodes = model_and_state()

@@ -12,14 +12,20 @@ from training import CONFIG, first_state, split, window_of
 
 from contactgraph.data import Dataset, InvalidInputError, Nodes, TrajectoryBatch, strip_contacts
 from contactgraph.inference.contact_belief import nothing_active
-from contactgraph.model import ContactSensor, ModelConfig, ours
+from contactgraph.model import (
+    HOLD,
+    TOUCH,
+    ContactSensor,
+    ModelConfig,
+    ours,
+)
 from contactgraph.train import check_contacts, fit
 from contactgraph.train import filter_loss as reports_module
 from contactgraph.train.filter_loss import denial_score, filter_loss, random_reports
 from contactgraph.train.identification import likeliest_sensor
 from contactgraph.train.motion_evidence import motion_evidence
 
-STILL, NOTHING = jnp.zeros(2), nothing_active(3)
+STILL, NOTHING = jnp.zeros(2), nothing_active((TOUCH, HOLD))
 
 MODEL = ours(ModelConfig(2, 2, 0.05, width=8), key=jax.random.key(0))
 KEY = jax.random.key(1)

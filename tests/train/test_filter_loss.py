@@ -11,7 +11,7 @@ import pytest
 from training import CONFIG, Enough, split, window_of
 
 from contactgraph.data import TrajectoryBatch
-from contactgraph.model import ContactBelief, ModelConfig, ours
+from contactgraph.model import HOLD, TOUCH, ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
 from contactgraph.train.expectation_maximisation import ExpectationMaximisation, dynamics_loss
 from contactgraph.train.filter_loss import filter_loss, predict_unobserved, random_segments
@@ -214,7 +214,7 @@ def test_the_steps_around_it_tell_the_type_of_a_step_that_leaves_it_open() -> No
     ratio = jnp.tile(jnp.where(jnp.eye(3, dtype=bool), held, -6.0), (steps, 1, 1, 1))
     # By itself the fourth step would say free, by a little.
     ratio = ratio.at[3, 0].set(jnp.where(jnp.eye(3, dtype=bool), jnp.array([0.0, -1, -2]), -6.0))
-    likeliest = jax.jit(likeliest_types)
+    likeliest = jax.jit(partial(likeliest_types, edge_types=(TOUCH, HOLD)))
     types = np.argmax(likeliest(prior, ratio), axis=-1)
     np.testing.assert_array_equal(types, np.full((steps, 1), 2))
     # Without evidence geometry decides.

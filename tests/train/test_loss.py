@@ -12,7 +12,7 @@ import pytest
 from training import window_of
 
 from contactgraph.data import TrajectoryBatch
-from contactgraph.model import PRESETS, LinearDynamics, ModelConfig, two_type_belief
+from contactgraph.model import HOLD, PRESETS, LinearDynamics, ModelConfig, two_type_belief
 from contactgraph.train import LossTerms
 from contactgraph.train.held_out import rollout_rmse
 from contactgraph.train.window_loss import rollout_loss, window_loss
@@ -51,7 +51,7 @@ class Still(eqx.Module):
 
     @property
     def edge_types(self):
-        return 2
+        return (HOLD,)
 
     def encode(self, position, velocity, control, nodes, before, meeting=None):
         exists = nodes.mask[:1] & nodes.mask[1:2] & nodes.candidate[:1]

@@ -12,7 +12,7 @@ from contactgraph.envs import RestPolicy, SpringsTask
 from contactgraph.envs.episodes import collect
 from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
 from contactgraph.identify import relation_facts
-from contactgraph.model import ModelConfig
+from contactgraph.model import HOLD, ModelConfig
 from contactgraph.model.filter import on_device
 from contactgraph.relations import relations, trajectory_belief
 from contactgraph.train import TrainConfig, fit, initial_state
@@ -34,7 +34,7 @@ def test_training_without_labels_finds_stiffness_and_springs(runs):
     bare = [dataclasses.replace(each, contact=None) for each in runs]
     train, held_out = Dataset(tuple(bare[:20]), {}), Dataset(tuple(bare[20:]), {})
     model_config = ModelConfig(
-        2, 0, SPRING_DT, contact_distance=1.0, width=16, edge_types=2, node_types=("ball",)
+        2, 0, SPRING_DT, contact_distance=1.0, width=16, edge_types=(HOLD,), node_types=("ball",)
     )
     config = TrainConfig(
         steps=100, batch_size=8, check_every=100, learning_rate=1e-2, rollout_from=0.0

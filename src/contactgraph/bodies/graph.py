@@ -1,5 +1,7 @@
 """The graph of one step: its bodies, and which pairs of them are edges."""
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import equinox as eqx
@@ -8,8 +10,65 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.mass_matrix import GroupCapacity
+from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count, pair_indices
 from contactgraph.data.trajectory_batch import Nodes
+
+
+@dataclass(frozen=True)
+class EdgeType:
+    """What two bodies do to each other whose edge is active.
+
+    A type that neither pushes nor holds is no contact. `ContactLaw` leaves its force to a law that
+    extends it: see ``examples/extend_edge_type.py``.
+    """
+
+    name: str
+    unilateral: bool = False
+    """Whether it pushes and never pulls, where bodies meet."""
+    holds: bool = False
+    """Whether it couples the bodies in all directions, so that they move together."""
+    coupling: float = 1.0
+    """Share of the relative motion that it takes at the start of training, in (0, 1]. Types that
+    start at 1, rigid, stay stiff and have no spring."""
+
+    @property
+    def contact(self) -> bool:
+        """Whether a contact sensor may report it."""
+        return self.unilateral or self.holds
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it stays stiff."""
+        return self.coupling == 1.0
+
+
+MOST_EDGE_TYPES = 15
+"""Active ones of a model."""
+TOUCH = EdgeType("touch", unilateral=True)
+HOLD = EdgeType("hold", holds=True)
+
+
+def usual_edge_types(count: int) -> tuple[EdgeType, ...]:
+    """The active ones of ``count`` types, of which the first is *inactive*.
+
+    Of two the other holds; of more one is a touch, and all others hold. Further holds start apart
+    from each other, spread over (0, 1): types that start alike share all data evenly, and stay
+    alike. Raises `InvalidInputError` for other counts than 2 to 16.
+    """
+    if not 2 <= count <= 1 + MOST_EDGE_TYPES:
+        raise InvalidInputError(
+            f"edge types must be 2 to {1 + MOST_EDGE_TYPES}: free (0), touch (1) and types that "
+            f"hold, or free and hold; found {count}"
+        )
+    further = range(1, count - 2)
+    soft = (EdgeType(f"hold {n + 1}", holds=True, coupling=1 - n / (count - 2)) for n in further)
+    return (HOLD,) if count == 2 else (TOUCH, HOLD, *soft)
+
+
+def first_where(active: Iterable[bool]) -> int:
+    """Place among all types of the first active one that is so; 1 where none is."""
+    return 1 + next((n for n, each in enumerate(active) if each), 0)
 
 
 class Edges(eqx.Module):
@@ -111,6 +170,8 @@ class EncodedGraph(eqx.Module):
     """Geometric prior of the edge types; `ContactDynamics.prior_belief`."""
     active: Float[Array, "E active"]
     """Weight of each edge for each active type, in [0, 1]; `weight` until edges are cut."""
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
+    """The active types."""
     group_capacity: GroupCapacity | None = eqx.field(static=True)
     """Most nodes that are coupled, directly or through others. None: no limit."""
 

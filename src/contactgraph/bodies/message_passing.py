@@ -1,5 +1,7 @@
 """Rounds of messages along weighted edges."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -98,6 +100,8 @@ class EdgeNetwork(eqx.Module):
     `MessagePassing` does, with empty node embeddings.
     """
 
+    rounds: ClassVar[int] = 0
+    """No message depends on another."""
     network: eqx.nn.MLP
     edge_size: int = eqx.field(static=True)
     width: int = eqx.field(static=True)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from contactgraph.bodies.graph import first_where, usual_edge_types
 from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.identify import Facts, identify, relation_facts, scene_facts
-from contactgraph.inference.contact_belief import first_holding_type
 from contactgraph.model import (
     PAPER_PRESETS,
     PRESETS,
@@ -120,7 +120,11 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     active edges have. Of two types they are the same.
     """
     types = model.inference.edge_types
-    active_types = {"learned": None, "prior-touch": 1, "prior-hold": first_holding_type(types)}
+    active_types = {
+        "learned": None,
+        "prior-touch": first_where(each.unilateral for each in types),
+        "prior-hold": first_where(each.holds for each in types),
+    }
     active_type = choice("--inference", name, active_types)
     if active_type is None:
         return model
@@ -241,7 +245,7 @@ def facts_for(
             facts = facts.with_contact_distance(contact_distance)
     config = dataclasses.replace(facts.config, **paper)
     if edge_types is not None:
-        config = dataclasses.replace(config, edge_types=edge_types)
+        config = dataclasses.replace(config, edge_types=usual_edge_types(edge_types))
     from_share = facts.rollout_from if rollout_from is None else rollout_from
     return dataclasses.replace(facts, config=config, rollout_from=from_share)
 

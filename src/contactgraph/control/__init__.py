@@ -45,6 +45,8 @@ from contactgraph.control.routes import RouteILQR as RouteILQR
 from contactgraph.control.search import SearchILQR as SearchILQR
 from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
+from contactgraph.control.subproblem import InteractionCutoff as InteractionCutoff
+from contactgraph.control.subproblem import interaction_cutoff as interaction_cutoff
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
 
 note_bindings(*(f"contactgraph.{each}" for each in ("data", "bodies", "model", "control")))

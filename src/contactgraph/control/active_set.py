@@ -26,6 +26,7 @@ from contactgraph.control.subproblem import (
     active_part,
     bucket_size,
     carried_over,
+    interaction_cutoff,
     padded,
     required_nodes,
 )
@@ -36,7 +37,6 @@ from contactgraph.model import (
     Nodes,
     StepModel,
     default_sensor,
-    interaction_cutoff,
 )
 
 _READY = 18

@@ -23,7 +23,6 @@ from contactgraph.data import (
     pair_indices,
     with_edge_labels,
 )
-from contactgraph.inference.contact_belief import first_holding_type
 from contactgraph.inference.features import turn_length_of
 from contactgraph.model import ContactBelief, LinearDynamics, StepModel, default_sensor
 from contactgraph.model.filter import (
@@ -134,7 +133,7 @@ def demonstrations_of(
         states=jnp.asarray(states, dtype),
         controls=jnp.asarray(controls * free, dtype),
         goal=jnp.asarray(goals.reshape(count, -1), dtype),
-        beliefs=ContactBelief(_among(filtered.prior, nodes)),
+        beliefs=ContactBelief(_among(filtered.prior, nodes), edge_types=filtered.prior.edge_types),
     )
 
 
@@ -157,6 +156,7 @@ def lasting_contacts(
         [[each.scene.node_name.index(name) for name in names] for each in demonstrations], int
     )
     probability = np.asarray(_among(filtered.posterior, nodes))
+    holds = np.array([each.holds for each in filtered.posterior.edge_types])
     pairs, kinds = [], []
     for edge, pair in enumerate(pair_indices(len(names)).tolist()):
         lasting, holding = 0, 0
@@ -165,9 +165,9 @@ def lasting_contacts(
             active = types[:, 0] < 0.5
             since = types[int(np.argmax(active)) :]
             lasting += bool(active.any() and np.mean(since[:, 0] < 0.5) >= _LASTS)
-            holding += bool(np.mean(since[:, first_holding_type(types.shape[-1]) :].sum(1)) > 0.5)
+            holding += bool(np.mean(since[:, 1:] @ holds) > 0.5)
         if 2 * lasting >= len(demonstrations):
-            held = probability.shape[-1] > 2 and 2 * holding >= len(demonstrations)
+            held = not holds.all() and 2 * holding >= len(demonstrations)
             pairs.append(pair)
             kinds.append(KINDS.index("hold" if held else "touch"))
     return BeliefCost(

@@ -8,6 +8,7 @@ by that of the fastest of them, because the ground slows them down and only they
 Everything runs on the host, in NumPy.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +20,7 @@ from contactgraph.control.host import Motion, placed
 from contactgraph.control.mpc import MPCState
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import edge_id, pair_indices
-from contactgraph.model import ContactBelief, InteractionCutoff, ModelState, Nodes
+from contactgraph.model import ContactBelief, ModelState, Nodes
 from contactgraph.model.filter import FilterState
 
 _SMALLEST, _TIMES = 2, 3
@@ -32,6 +33,40 @@ _SLACK = 0.05
 """Part of the cutoff, added to it: springs and controls hardly move nodes without a contact."""
 _LEAVES = 0.5
 """Part of the cutoff, beyond it, at which a node leaves the active set; it prevents flicker."""
+
+
+@dataclass(frozen=True)
+class InteractionCutoff:
+    """Guarantee of a model: nodes farther apart than ``distance`` do not affect each other.
+
+    A node that touches nothing is decelerated only by the ground, and driven only by a control that
+    acts on it.
+    """
+
+    distance: float
+    """m, from centre to centre, or to a bar's middle line."""
+    dt: float
+    """Length of a step, s."""
+
+
+def interaction_cutoff(model: object) -> InteractionCutoff | None:
+    """The model's cutoff as a guarantee on predictions; None where it gives none.
+
+    There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
+    nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
+    with its free equilibria), or where pins join far ones.
+    """
+    parts: Any = model
+    outer = getattr(getattr(model, "cutoff", None), "outer", math.inf)
+    if not math.isfinite(outer):
+        return None
+    networks = [*parts.local_dynamics.message_passing.networks, *parts.inference.networks]
+    if any(getattr(network, "rounds", 1) for network in networks):
+        return None
+    head = getattr(parts.local_dynamics, "head", None)
+    if getattr(head, "turn_length", 0.0) is not None:  # no law of contact, or pins join far bodies
+        return None
+    return InteractionCutoff(outer, parts.dt)
 
 
 def bucket_size(count: int, capacity: int) -> int:

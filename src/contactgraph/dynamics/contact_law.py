@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
+from scipy.special import logit
 
 from contactgraph.bodies.geometry import Geometry, as_near
 from contactgraph.bodies.graph import Bodies, EncodedGraph
@@ -23,11 +24,13 @@ from contactgraph.dynamics.actuation import Actuation, actuated_slots
 from contactgraph.dynamics.body_types import PACE, BodyTypes
 from contactgraph.dynamics.contacts import MAX_COUPLING, Contacts, damper_of
 from contactgraph.dynamics.free_bodies import SLOW, FreeBodies, lifted_fraction
-from contactgraph.dynamics.hinges import coupling_starts, with_hinge_springs
+from contactgraph.dynamics.hinges import with_hinge_springs
 from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
 _SOFTEST = 0.5
-"""Most that touches and the first type that holds lack of rigid; else types look alike."""
+"""Most that types which start rigid lack of it; else types look alike."""
+_RIGID = 5.0
+"""Logit at which the coupling of a rigid type starts."""
 _LEAST_FRICTION = 1e-3
 _EARLY, _ONE_SIDED = 0.01, 2e-4
 """Approaches in a step, in units of `length`: before a touch, and from which one acts."""
@@ -206,25 +209,29 @@ class ContactLaw(BodyTypes):
         """Contacts of the edges."""
         # The sum over directions does not depend on which node is the first.
         out = jax.vmap(jax.vmap(self.edge))(jnp.sum(message, axis=1))
-        geometry, weight = graph.contact_points, graph.active.T
+        contact, unilateral, rigid = (
+            np.array([[getattr(each, name)] for each in graph.edge_types])
+            for name in ("contact", "unilateral", "rigid")
+        )
+        geometry, weight = graph.contact_points, graph.active.T * contact
         points = geometry.edge_index.shape[1] // max(1, weight.shape[1])
         if points > 1:
             out = jnp.tile(out, (1, points, 1))
             near = as_near(geometry, graph.geometry, _NEAREST * self.length)
             weight = jnp.tile(weight, (1, points)) * near
-        touch = jnp.zeros_like(weight[0])
-        if len(weight) > 1:
+        if unilateral.any():
             # A contact predicted too early: bodies do not meet, or their outlines are apart.
             early = geometry.approach > (tolerance := _EARLY * self.length)
             early |= self.identified & (geometry.distance - geometry.contact_distance > tolerance)
             weight = jnp.where(early & (geometry.fraction_after_impact == 0.0), 0.0, weight)
             nearer = geometry.approach + weighed_down(geometry, graph.bodies.nodes, dt)
             closing = jax.nn.sigmoid(nearer / (_ONE_SIDED * self.length))
-            weight = weight.at[0].multiply(closing)
-            touch = weight[0]
-        pushing = weight.at[:2].set(0.0)  # The residue of a spring would push bodies in touch.
-        each = jax.nn.sigmoid(out[..., 0] + coupling_starts(len(weight))[:, None])
-        each = each.at[:2].set(1.0 - (not self.identified) * _SOFTEST * (1.0 - each[:2]))
+            weight = jnp.where(unilateral, weight * closing, weight)
+        touch = jnp.sum(weight * unilateral, axis=0)
+        soft = weight * ~rigid  # The residue of a spring would push bodies in touch.
+        starts = [_RIGID if each.rigid else logit(each.coupling) for each in graph.edge_types]
+        each = jax.nn.sigmoid(out[..., 0] + np.array(starts)[:, None])
+        each = jnp.where(rigid, 1.0 - (not self.identified) * _SOFTEST * (1.0 - each), each)
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
         elastic, friction = self.laws(graph.bodies.node_type, *geometry.edge_index)
@@ -239,11 +246,11 @@ class ContactLaw(BodyTypes):
         return Contacts(
             geometry=dataclasses.replace(geometry, normal=normal),
             damper=damper_of(coupling),
-            spring=jnp.sum(pushing * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
+            spring=jnp.sum(soft * jax.nn.softplus(out[..., 1] - 6.0), axis=0),
             rest_length=rest,
             touching=touching,
             # Only a rigid bond begins by an impact; a soft one acts all through a step.
-            displacing_fraction=self._displacing(geometry, theta) * (1.0 - sum(weight[2:])),
+            displacing_fraction=self._displacing(geometry, theta) * (1.0 - jnp.sum(soft, axis=0)),
             acting=1.0 - touching * geometry.time_of_impact * self.averaged,
             bounce=bounce,
             friction=friction,

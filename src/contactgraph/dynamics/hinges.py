@@ -1,10 +1,9 @@
-"""Starts of couplings, and the springs of hinged bodies."""
+"""The springs of hinged bodies."""
 
 import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Geometry, sum_at_nodes
@@ -16,16 +15,6 @@ _MIN_WEIGHT = 1e-9
 _MIN_SHARE = 1e-6
 _RESTING_SPEED = 0.1
 """Relative speed, m/s, well below which two coupled bodies are at rest against each other."""
-
-
-def coupling_starts(active_types: int) -> np.ndarray:
-    """[active] logits at which the couplings of the types start.
-
-    A touch and the first type that holds start rigid, further ones apart from each other, spread
-    over (0, 1): types that start alike share all data evenly, and stay alike.
-    """
-    further = np.arange(1, active_types - 1)
-    return np.append(np.full(min(active_types, 2), 5.0), np.log((active_types - 1) / further - 1.0))
 
 
 class HingeConstraint(eqx.Module):

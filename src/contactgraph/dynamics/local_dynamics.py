@@ -221,6 +221,10 @@ class LocalDynamics(WithoutContacts):
     def __call__(self, graph: EncodedGraph, dt: float) -> LinearDynamics:
         """The linear step of `dt` [s] of every node."""
 
+    def parameters(self, graph: EncodedGraph, dt: float) -> SpringMassDamper:
+        """Those of every node at one step of `dt` [s]; `TypeError` where there are none."""
+        raise TypeError(f"{type(self).__name__} has no spring-mass-damper")
+
 
 class SpringMassDamperDynamics(LocalDynamics):
     """Messages over the active edges, then a spring-mass-damper for every node, then one step."""

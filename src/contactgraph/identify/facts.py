@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contactgraph.bodies.graph import HOLD
 from contactgraph.data.dataset import Dataset, masses_vary
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.schema import Field, changed
@@ -180,7 +181,7 @@ def relation_facts(dataset: Dataset) -> Facts:
         contact_distance=float(np.median(distance)) if distance.size else 1.0,
         learned_contact_distance=False,
         node_types=tuple(sorted({name for each in dataset for name in each.scene.node_type})),
-        edge_types=2,
+        edge_types=(HOLD,),
     )
     return replace(facts, config=config)
 

@@ -1,12 +1,15 @@
 """Beliefs about contact: transitions, corrections by measurements and motion, and sampling."""
 
+import dataclasses
 from typing import Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from contactgraph.bodies.graph import EdgeType, usual_edge_types
 from contactgraph.data.errors import InvalidInputError
 
 _MIN_PROBABILITY = 1e-6
@@ -47,17 +50,18 @@ class EdgeMemory(eqx.Module):
 
 
 class ContactBelief(eqx.Module):
-    """Probability of each edge type.
-
-    Type 0 is *inactive*. Of two types the other one *holds*; of three or more, type 1 is a *touch*,
-    which pushes and never pulls, and all others hold.
-    """
+    """Probability of each edge type, of which the first is *inactive*."""
 
     type_probability: Float[Array, "*T E K"]
     edge_id: Int[Array, "*T E"] | None = None
     """`Edges.edge_id` where only some pairs are listed; all others are inactive with certainty.
     None: all pairs, in `pair_indices`' order."""
     memory: EdgeMemory = EdgeMemory()
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=())
+    """The active types, by default the `usual_edge_types`."""
+
+    def __post_init__(self) -> None:
+        self.edge_types = self.edge_types or usual_edge_types(self.type_probability.shape[-1])
 
     @property
     def probability(self) -> Float[Array, "*T E"]:
@@ -67,12 +71,14 @@ class ContactBelief(eqx.Module):
     @property
     def holding(self) -> Float[Array, "*T E"]:
         """Probability that the edge holds."""
-        return jnp.sum(self.type_probability[..., first_holding_type(self.edge_types) :], axis=-1)
+        holds = np.array([False, *(each.holds for each in self.edge_types)])
+        return jnp.sum(self.type_probability * holds, axis=-1)
 
     @property
-    def edge_types(self) -> int:
-        """K."""
-        return self.type_probability.shape[-1]
+    def contact(self) -> Float[Array, "*T E"]:
+        """Probability that the bodies are in contact: that the edge touches or holds."""
+        apart = np.array([True, *(not each.contact for each in self.edge_types)])
+        return 1.0 - jnp.sum(self.type_probability * apart, axis=-1)
 
     def over(self, edge_id: Int[Array, " E"] | None, count: int) -> "ContactBelief":
         """The same belief, of one step, over other edges; `count` is the number of all pairs."""
@@ -93,22 +99,18 @@ class ContactBelief(eqx.Module):
         if edge_id is None and self.edge_id is None:
             return self
         memory = jax.tree.map(lambda each: moved(each, jnp.zeros_like(each[0])), self.memory)
-        return ContactBelief(moved(types, inactive), edge_id, memory)
+        return ContactBelief(moved(types, inactive), edge_id, memory, self.edge_types)
 
     @property
     def observed(self) -> "ContactBelief":
         """The same about bodies that have just been observed."""
-        return ContactBelief(self.type_probability, self.edge_id, self.memory.observed)
+        return dataclasses.replace(self, memory=self.memory.observed)
 
 
-def nothing_active(edge_types: int) -> ContactBelief:
+def nothing_active(edge_types: tuple[EdgeType, ...]) -> ContactBelief:
     """The belief that surely no edge is active: none is listed."""
-    return ContactBelief(jnp.zeros((0, edge_types)), jnp.zeros(0, jnp.int32))
-
-
-def first_holding_type(edge_types: int) -> int:
-    """The first of ``edge_types`` types that holds: see `ContactBelief`."""
-    return 1 if edge_types < 3 else 2
+    types = jnp.zeros((0, 1 + len(edge_types)))
+    return ContactBelief(types, jnp.zeros(0, jnp.int32), edge_types=edge_types)
 
 
 def two_type_belief(probability: Float[Array, "*T E"]) -> ContactBelief:
@@ -120,7 +122,8 @@ def cast_like(belief: ContactBelief, other: ContactBelief) -> ContactBelief:
     """The belief in the floating type of another, which may be about other edges."""
     dtype = other.type_probability.dtype
     memory = jax.tree.map(lambda each: each.astype(dtype), belief.memory)
-    return ContactBelief(belief.type_probability.astype(dtype), belief.edge_id, memory)
+    types = belief.type_probability.astype(dtype)
+    return dataclasses.replace(belief, type_probability=types, memory=memory)
 
 
 class ContactSensor(eqx.Module):
@@ -146,9 +149,13 @@ class ContactSensor(eqx.Module):
         if self.delay < 0:
             raise InvalidInputError(f"delay must be at least 0 steps, found {self.delay}")
 
+    def reports(self, edge_type: EdgeType) -> bool:
+        """Whether the sensor means this type by contact."""
+        return edge_type.contact if self.reports_touch else edge_type.holds
+
     def contact_probability(self, belief: ContactBelief) -> Float[Array, "*T E"]:
         """Probability of what the sensor means by contact."""
-        return belief.probability if self.reports_touch else belief.holding
+        return belief.contact if self.reports_touch else belief.holding
 
     @property
     def as_current(self) -> "ContactSensor":
@@ -191,23 +198,22 @@ def correct(
     if_active = contact * (1.0 - miss) + (1.0 - contact) * miss
     if_inactive = contact * false_alarm + (1.0 - contact) * (1.0 - false_alarm)
     prior = jnp.clip(belief.type_probability, _MIN_PROBABILITY, 1.0)
-    none = 1 if sensor.reports_touch else first_holding_type(belief.edge_types)
-    inactive = prior[..., :none] * jnp.maximum(if_inactive, _MIN_PROBABILITY)[..., None]
-    active = prior[..., none:] * jnp.maximum(if_active, _MIN_PROBABILITY)[..., None]
-    posterior = jnp.concatenate([inactive, active], axis=-1)
+    reported = np.array([False, *(sensor.reports(each) for each in belief.edge_types)])
+    likelihood = jnp.where(reported, if_active[..., None], if_inactive[..., None])
+    posterior = prior * jnp.maximum(likelihood, _MIN_PROBABILITY)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
     memory = belief.memory.after_report(belief.type_probability, types)
-    return ContactBelief(types, belief.edge_id, memory).observed
+    return dataclasses.replace(belief, type_probability=types, memory=memory.observed)
 
 
 def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:
     return rate if jnp.ndim(rate) == 0 else jnp.asarray(rate).at[edge_id].get(mode="clip")
 
 
-def spread_over_types(active: Float[Array, " E"], edge_types: int) -> Float[Array, "E K"]:
+def spread_over_types(active: Float[Array, " E"], active_types: int) -> Float[Array, "E K"]:
     """Probabilities of the types: that of any active one is spread evenly over the active ones."""
-    spread = jnp.repeat(active[:, None] / (edge_types - 1), edge_types - 1, axis=-1)
+    spread = jnp.repeat(active[:, None] / active_types, active_types, axis=-1)
     return jnp.concatenate([1.0 - active[:, None], spread], axis=-1)
 
 
@@ -217,9 +223,9 @@ def without_change(predicted: ContactBelief) -> tuple[ContactBelief, Float[Array
     Of the pairs of types no equal one is less probable than 0.01: beyond their data networks are
     overconfident.
     """
-    most = 1.0 - (predicted.edge_types - 1) * _LEAST_TYPE
-    types = jnp.clip(predicted.type_probability, _LEAST_TYPE, most)
-    return predicted, types[:, :, None] * jnp.eye(predicted.edge_types, dtype=types.dtype)
+    count = predicted.type_probability.shape[-1]
+    types = jnp.clip(predicted.type_probability, _LEAST_TYPE, 1.0 - (count - 1) * _LEAST_TYPE)
+    return predicted, types[:, :, None] * jnp.eye(count, dtype=types.dtype)
 
 
 def posterior_by_motion(
@@ -233,7 +239,7 @@ def posterior_by_motion(
     evidence = jnp.any(log_ratios != 0, axis=(1, 2))[:, None]
     after = jnp.where(evidence, jnp.sum(pairs, axis=1), predicted.type_probability)
     memory = predicted.memory.after_motion(joint, pairs, evidence)
-    return ContactBelief(after, predicted.edge_id, memory)
+    return dataclasses.replace(predicted, type_probability=after, memory=memory)
 
 
 def pair_posterior(

@@ -1,6 +1,7 @@
-"""Inference of active edges, in interchangeable forms: see `EdgeInference`."""
+"""Inference of active edges: their prior and weight by distance, and beliefs from step to step."""
 
 import dataclasses
+import math
 from abc import abstractmethod
 from typing import Self, cast
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry
+from contactgraph.bodies.graph import HOLD, EdgeType
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory
@@ -27,6 +29,59 @@ _BLIND = 5.0
 """Steps without observation for which the input of the rates is one half."""
 
 
+class ClosestApproachPrior(eqx.Module):
+    r"""Probability of contact from the closest approach of two nodes within the step.
+
+    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
+
+    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
+    closest approach in the next step: the edge of a step must already be active when bodies touch
+    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
+    because an unknown force may bring bodies together or keep them apart.
+    """
+
+    margin: float = eqx.field(static=True, default=1.03)
+    """$m$; factor on the contact distance below which nodes count as touching."""
+    sharpness: float = eqx.field(static=True, default=0.02)
+    """$s$."""
+    min_probability: float = eqx.field(static=True, default=0.01)
+    r"""$\epsilon$."""
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Prior probability that each edge is active."""
+        touch = jax.lax.stop_gradient(geometry.contact_distance)
+        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
+        spread = 1.0 - 2.0 * self.min_probability
+        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
+
+
+class SmoothCutoff(eqx.Module):
+    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
+
+    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
+    """
+
+    inner: float = eqx.field(static=True, default=0.15)
+    outer: float = eqx.field(static=True, default=0.25)
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Weight of each edge in [0, 1], by its closest approach in the step."""
+        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
+        fraction = jnp.clip(fraction, 0.0, 1.0)
+        return fraction**2 * (3.0 - 2.0 * fraction)
+
+
+class NoCutoff(eqx.Module):
+    """Weight 1 at every distance: the paper's all-pairs inference."""
+
+    outer: float = eqx.field(static=True, default=math.inf)
+    """m"""
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Weight 1 for every edge."""
+        return jnp.ones_like(geometry.distance)
+
+
 class EdgeInference(eqx.Module):
     """Beliefs about the types of edges, from step to step.
 
@@ -37,7 +92,8 @@ class EdgeInference(eqx.Module):
     ``examples/extend_recurrent_cell.py``. All else has a default.
     """
 
-    edge_types: eqx.AbstractVar[int]
+    edge_types: eqx.AbstractVar[tuple[EdgeType, ...]]
+    """The active types."""
     commands: int = eqx.field(static=True, default=0, kw_only=True)
     """Last components of the control that are features of the edges of actuated nodes."""
 
@@ -127,7 +183,7 @@ class TransitionEdges(EdgeInference):
     message_passing: EdgeNetwork
     cell: eqx.nn.GRUCell
     rates: eqx.nn.MLP
-    edge_types: int = eqx.field(static=True)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
     memory_size: int = eqx.field(static=True)
     min_transition: float = eqx.field(static=True)
@@ -138,7 +194,7 @@ class TransitionEdges(EdgeInference):
         message_passing: EdgeNetwork,
         *,
         node_types: int,
-        edge_types: int = 2,
+        edge_types: tuple[EdgeType, ...] = (HOLD,),
         memory_size: int = _MEMORY,
         commands: int = 0,
         min_transition: float = 2e-3,
@@ -146,17 +202,15 @@ class TransitionEdges(EdgeInference):
     ):
         """``message_passing`` takes features, stillness, `commands` and `node_types` counts."""
         cell_key, rate_key = jax.random.split(key)
-        width = message_passing.width
+        width, count = message_passing.width, 1 + len(edge_types)
         self.message_passing = message_passing
-        self.cell = eqx.nn.GRUCell(edge_types, memory_size, key=cell_key)
-        known = width + memory_size + (edge_types - 1) * len(_AGES) + 1 + edge_types
-        rates = eqx.nn.MLP(known, edge_types**2, width, 1, key=rate_key)
-        last = rates.layers[-1]
-        assert last.bias is not None
+        self.cell = eqx.nn.GRUCell(count, memory_size, key=cell_key)
+        known = width + memory_size + len(edge_types) * len(_AGES) + 1 + count
+        rates = eqx.nn.MLP(known, count**2, width, 1, key=rate_key)
         self.rates = eqx.tree_at(
             lambda mlp: (mlp.layers[-1].weight, mlp.layers[-1].bias),
             rates,
-            (0.0 * last.weight, 0.0 * last.bias),
+            replace_fn=jnp.zeros_like,
         )
         self.edge_types = edge_types
         self.node_types = node_types
@@ -207,11 +261,11 @@ class TransitionEdges(EdgeInference):
         before, clock = belief.type_probability, cast(EdgeClock, belief.memory)
         unobserved, age = clock.unobserved, clock.age
         hidden = jax.vmap(self.cell)(before, clock.hidden)
-        ages = jnp.tile(jnp.asarray(_AGES, age.dtype), self.edge_types - 1)
+        ages = jnp.tile(jnp.asarray(_AGES, age.dtype), len(self.edge_types))
         exceeded = jax.nn.sigmoid(4.0 * (jnp.repeat(age, len(_AGES), axis=-1) - ages))
         blind = unobserved / (unobserved + _BLIND)
         known = jnp.concatenate([embedding, hidden, exceeded, blind, blind * before], axis=-1)
-        rates = jax.vmap(self.rates)(known).reshape(-1, self.edge_types, self.edge_types)
+        rates = jax.vmap(self.rates)(known).reshape(*before.shape, before.shape[-1])
         logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, :] + rates
         joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
         clock = EdgeClock(unobserved + 1.0, hidden, 1.0 + age * _kept_share(joint))
@@ -245,7 +299,7 @@ class PriorEdges(EdgeInference):
     step just made. With ``least`` 1 every edge is active at every step (the paper's No-GIM).
     """
 
-    edge_types: int = eqx.field(static=True, default=2)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=(HOLD,))
     active_type: int = eqx.field(static=True, default=1)
     least: float = eqx.field(static=True, default=0.0)
     """Probability that an edge is active whatever its prior."""
@@ -257,4 +311,4 @@ class PriorEdges(EdgeInference):
         active = self.least + (1.0 - self.least) * jnp.sum(prior[:, 1:], axis=-1)
         types = jnp.zeros_like(prior).at[:, 0].set((1.0 - self.least) * prior[:, 0])
         types = types.at[:, self.active_type].set(active)
-        return ContactBelief(types), types[:, :, None] * jnp.eye(self.edge_types, dtype=types.dtype)
+        return ContactBelief(types), types[:, :, None] * jnp.eye(types.shape[-1], dtype=types.dtype)

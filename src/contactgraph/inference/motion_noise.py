@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from contactgraph.bodies.graph import EdgeType
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.inference.contact_belief import first_holding_type
 
 _LEAST_POSITION, _LEAST_VELOCITY, _LEAST_SHARE = 5e-5, 1e-3, 0.01
 """Least scales, in lengths, lengths a second, and 1. Only the steps that a type explains well count
@@ -83,14 +83,19 @@ class MotionNoise(eqx.Module):
         )
 
     def log_ratios(
-        self, predictions: Motion, observed: Motion, exists: Bool[Array, " N"], dt: float
+        self,
+        predictions: Motion,
+        observed: Motion,
+        exists: Bool[Array, " N"],
+        dt: float,
+        edge_types: tuple[EdgeType, ...],
     ) -> Float[Array, "K K"]:
         """Log-likelihood of ``observed`` if an edge has type i first and type j in the end.
 
         Each is less that of the likeliest pair; ``predictions`` [K, ...] are those of a step with
-        one type throughout, type 0 first.
+        one type throughout: with none, then with each of the ``edge_types``.
         """
-        types, dimension = len(predictions[0]), observed[0].shape[-1]
+        types, dimension = 1 + len(edge_types), observed[0].shape[-1]
         first, last = (index.ravel() for index in jnp.indices((types, types)))
         closes = first < last
         x, v = predictions
@@ -115,11 +120,11 @@ class MotionNoise(eqx.Module):
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
         # end in the last instant. Bodies side by side may touch for a part of the step only.
-        holds = first >= first_holding_type(types)
+        touches = jnp.array([False, *(each.unilateral for each in edge_types)])[first]
         throughout_first, throughout_last = first * (types + 1), last * (types + 1)
         second = jnp.where(first == 0, throughout_last, jnp.arange(types**2))
-        second = jnp.where(holds & (first > last), throughout_first, second)
-        second = jnp.where((first > 0) & ~holds & (first == last), first * types, second)
+        second = jnp.where(~touches & (first > last), throughout_first, second)
+        second = jnp.where(touches & (first == last), first * types, second)
         likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
@@ -155,14 +160,12 @@ class PredictionNoise(eqx.Module):
     log_share: Float[Array, " active"]
     """The same of the error of each active type's effect, in units of the effect."""
 
-    edge_types: int = eqx.field(static=True)
     length: float = eqx.field(static=True)
 
-    def __init__(self, edge_types: int, length: float = 0.1) -> None:
+    def __init__(self, active_types: int, length: float = 0.1) -> None:
         """``length`` [m] is the unit of the least scales: about the distance of a contact."""
-        start = MotionNoise()
-        self.edge_types, self.length = edge_types, length
-        self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(edge_types - 1)
+        start, self.length = MotionNoise(), length
+        self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(active_types)
         self.log_drift = jnp.log(_DRIFT) / _PACE * jnp.ones(())
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())

@@ -19,7 +19,7 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_count, pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.inference.prior import SmoothCutoff
+from contactgraph.inference.edge_inference import SmoothCutoff
 from contactgraph.large_scenes.block_inverse import GroupsOf
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.step import StepModel

@@ -1,7 +1,11 @@
 """The model: inference of active contact edges, and local dynamics given them."""
 
 from contactgraph.bodies.geometry import sum_at_nodes as sum_at_nodes
+from contactgraph.bodies.graph import HOLD as HOLD
+from contactgraph.bodies.graph import TOUCH as TOUCH
+from contactgraph.bodies.graph import EdgeType as EdgeType
 from contactgraph.bodies.graph import EncodedGraph as EncodedGraph
+from contactgraph.bodies.graph import usual_edge_types as usual_edge_types
 from contactgraph.bodies.message_passing import EdgeNetwork as EdgeNetwork
 from contactgraph.bodies.message_passing import MessagePassing as MessagePassing
 from contactgraph.bodies.message_passing import TypedMessagePassing as TypedMessagePassing
@@ -29,24 +33,22 @@ from contactgraph.inference.contact_belief import correct as correct
 from contactgraph.inference.contact_belief import default_sensor as default_sensor
 from contactgraph.inference.contact_belief import two_type_belief as two_type_belief
 from contactgraph.inference.contact_belief import without_change as without_change
+from contactgraph.inference.edge_inference import ClosestApproachPrior as ClosestApproachPrior
 from contactgraph.inference.edge_inference import EdgeInference as EdgeInference
+from contactgraph.inference.edge_inference import NoCutoff as NoCutoff
 from contactgraph.inference.edge_inference import PriorEdges as PriorEdges
+from contactgraph.inference.edge_inference import SmoothCutoff as SmoothCutoff
 from contactgraph.inference.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.inference.features import Features as Features
 from contactgraph.inference.features import InvariantFeatures as InvariantFeatures
 from contactgraph.inference.features import turn_length_of as turn_length_of
 from contactgraph.inference.motion_noise import MotionNoise as MotionNoise
-from contactgraph.inference.prior import ClosestApproachPrior as ClosestApproachPrior
-from contactgraph.inference.prior import NoCutoff as NoCutoff
-from contactgraph.inference.prior import SmoothCutoff as SmoothCutoff
 from contactgraph.model.body_mass import MassBelief as MassBelief
 from contactgraph.model.body_mass import correct_masses as correct_masses
 from contactgraph.model.body_mass import first_masses as first_masses
 from contactgraph.model.body_mass import told_log_mass as told_log_mass
 from contactgraph.model.body_mass import with_masses as with_masses
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
-from contactgraph.model.interaction_cutoff import InteractionCutoff as InteractionCutoff
-from contactgraph.model.interaction_cutoff import interaction_cutoff as interaction_cutoff
 from contactgraph.model.io import PRESETS as PRESETS
 from contactgraph.model.io import ModelSummary as ModelSummary
 from contactgraph.model.io import StoredModel as StoredModel

@@ -6,7 +6,7 @@ filter (Bell and Cathey 1993), whose measurement is the velocity after the step.
 """
 
 import dataclasses
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.body_types import PACE
-from contactgraph.dynamics.contact_law import ContactLaw
 from contactgraph.inference.contact_belief import ContactBelief
 from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -52,21 +51,20 @@ class MassBelief(eqx.Module):
 Masses = TypeVar("Masses", bound=MassBelief | None)
 
 
-def varying_head(model: object) -> ContactLaw | None:
-    """The head of a model in which masses differ within a type, else None."""
-    head = getattr(getattr(model, "local_dynamics", None), "head", None)
-    return head if isinstance(head, ContactLaw) and head.log_spread is not None else None
+def _varying_types(model: Any) -> Any:
+    """The types of bodies of a model in which masses differ within a type, else None."""
+    types = getattr(getattr(model, "local_dynamics", None), "head", None)
+    return None if getattr(types, "log_spread", None) is None else types
 
 
-def first_masses(model: object, nodes: Nodes) -> MassBelief | None:
+def first_masses(model: Any, nodes: Nodes) -> MassBelief | None:
     """The belief before any motion; None where all bodies of a type weigh alike.
 
     Masses that the ``nodes`` tell, and those of actuated nodes, are certain.
     """
-    head = varying_head(model)
-    if head is None or head.log_spread is None:
+    head = _varying_types(model)
+    if head is None:
         return None
-    assert isinstance(model, ContactDynamics)
     types = model.features.node_type(nodes, head.log_mass.dtype)
     spread = jnp.exp(PACE * types @ head.log_spread)
     if nodes.log_mass is not None:
@@ -74,16 +72,15 @@ def first_masses(model: object, nodes: Nodes) -> MassBelief | None:
     return MassBelief(jnp.zeros_like(spread), jnp.where(nodes.passive, spread**2, 0.0))
 
 
-def told_log_mass(model: object, scene: Scene) -> np.ndarray | None:
+def told_log_mass(model: Any, scene: Scene) -> np.ndarray | None:
     """[N] `Nodes.log_mass` of the masses that a scene tells, in units of the first actuated node's.
 
     None where bodies of a type weigh alike in the model, or the scene tells no mass or has no such
     node.
     """
-    head = varying_head(model)
+    head = _varying_types(model)
     if head is None or scene.mass is None or not scene.actuated.any():
         return None
-    assert isinstance(model, ContactDynamics)
     types = np.asarray(model.features.node_type(scene_nodes(scene), head.log_mass.dtype))
     missing = np.log(scene.mass) - PACE * types @ np.asarray(head.log_mass)
     return np.asarray(missing - missing[np.argmax(scene.actuated)])
@@ -169,10 +166,10 @@ def trajectory_masses(
 
     def step(masses: MassBelief, inputs: tuple) -> tuple[MassBelief, None]:
         position, velocity, control, types, after = inputs
-        before = ModelState(position, velocity, ContactBelief(types))
-        weighed = with_masses(nodes, masses)
-        given = ContactBelief(types), control, after, weighed, noise
-        return correct_masses(model, masses, before, *given), None
+        belief, weighed = ContactBelief(types), with_masses(nodes, masses)
+        before = ModelState(position, velocity, belief)
+        masses = correct_masses(model, masses, before, belief, control, after, weighed, noise)
+        return masses, None
 
     position, velocity = states
     after = position[1:], velocity[1:]
@@ -183,8 +180,7 @@ def trajectory_masses(
 def mass_score(model: ContactDynamics, masses: MassBelief, nodes: Nodes) -> Float[Array, " N"]:
     """Negative log-likelihood, nat, of beliefs that motion has led to, by which the mean and the
     spread of the masses of a type are learned."""
-    head = varying_head(model)
-    assert head is not None and head.log_spread is not None
+    head = _varying_types(model)
     types = model.features.node_type(nodes, head.log_mass.dtype)
     own, log_spread = PACE * types @ head.log_mass, PACE * types @ head.log_spread
     away = jax.lax.stop_gradient(masses.mean + own) - own

@@ -6,6 +6,7 @@ the active edges), and the linear step. Training encodes all states at once, the
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from contactgraph.bodies.graph import (
     edge_count,
     edge_nodes,
 )
+from contactgraph.bodies.mass_matrix import GroupCapacity
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_count
 from contactgraph.data.trajectory_batch import Nodes
@@ -30,7 +32,6 @@ from contactgraph.dynamics.local_dynamics import (
     LinearDynamics,
     LocalDynamics,
     SpringMassDamper,
-    SpringMassDamperDynamics,
 )
 from contactgraph.inference.contact_belief import (
     ArgmaxSample,
@@ -40,10 +41,9 @@ from contactgraph.inference.contact_belief import (
     nothing_active,
     spread_over_types,
 )
-from contactgraph.inference.edge_inference import EdgeInference
+from contactgraph.inference.edge_inference import EdgeInference, NoCutoff, SmoothCutoff
 from contactgraph.inference.features import Features, shaped
 from contactgraph.inference.motion_noise import PredictionNoise
-from contactgraph.inference.prior import NoCutoff, SmoothCutoff
 from contactgraph.model.step import ModelState, rollout, take_step
 
 _TOUCHING = 1.02
@@ -93,14 +93,14 @@ class ContactDynamics(eqx.Module):
     def __check_init__(self) -> None:
         if not self.dt > 0:
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
-        active_types = self.inference.edge_types - 1
+        active_types = len(self.inference.edge_types)
         networks = len(self.local_dynamics.message_passing.types)
         if active_types < 1 or networks != active_types:
             raise InvalidInputError(
                 f"local_dynamics must have one message network for each of the {active_types} "
-                f"active edge types (edge_types less the inactive one), found {networks}"
+                f"active edge types (edge_types), found {networks}"
             )
-        if self.neighbor_list is not None and not isinstance(self.cutoff, SmoothCutoff):
+        if self.neighbor_list is not None and not math.isfinite(self.cutoff.outer):
             raise InvalidInputError(
                 "neighbor_list: lists of near pairs need a SmoothCutoff, beyond which no edge is "
                 f"active; found {type(self.cutoff).__name__}"
@@ -124,19 +124,26 @@ class ContactDynamics(eqx.Module):
         """
         bodies = self._bodies(position, velocity, nodes)
         nodes, edges = bodies.nodes, all_pairs(len(position))
-        if self.neighbor_list is None and meeting is None:
-            meeting = self.features.meeting(nodes, position, edges.edge_index)
-        displacement = self._control_displacement(bodies, control, before, meeting)
-        if self.neighbor_list is not None:
-            moved = position, velocity, displacement, nodes.anchor, self.dt
-            bound = travel_bound(*moved, nodes.half_size, nodes.outlines)
-            assert isinstance(self.cutoff, SmoothCutoff)
+        if self.neighbor_list is None:
+            if meeting is None:
+                meeting = self.features.meeting(nodes, position, edges.edge_index)
+            displacement = self._control_displacement(bodies, control, before, meeting)
+        else:
+            displacement = self._control_displacement(bodies, control, before, None)
+            bound = travel_bound(
+                position,
+                velocity,
+                displacement,
+                nodes.anchor,
+                self.dt,
+                half_size=nodes.half_size,
+                outlines=nodes.outlines,
+            )
             places = position[:, : self.dimension]
             edges = self.neighbor_list(places, bound, nodes.mask, self.cutoff.outer)
             meeting = self.features.meeting(nodes, position, edges.edge_index)
-        assert meeting is not None
         # A step that exceeds a capacity predicts NaN for every node.
-        moving = velocity if edges.edge_id is None else jnp.where(edges.fits, velocity, jnp.nan)
+        moving = jnp.where(edges.fits, velocity, jnp.nan)
         bodies = bodies._replace(velocity=moving)
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
         points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
@@ -153,7 +160,7 @@ class ContactDynamics(eqx.Module):
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
         seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, control)
         embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
-        capacity = self.neighbor_list
+        edge_types = self.inference.edge_types
         return EncodedGraph(
             bodies=bodies,
             control=control,
@@ -164,10 +171,15 @@ class ContactDynamics(eqx.Module):
             edge_features=edge_features,
             weight=weight,
             embedding=embedding,
-            prior=self._prior(edge_geometry, weight),
-            active=jnp.repeat(weight[:, None], self.inference.edge_types - 1, axis=1),
-            group_capacity=None if capacity is None else capacity.groups,
+            prior=spread_over_types(self.prior(edge_geometry) * weight, len(edge_types)),
+            active=jnp.repeat(weight[:, None], len(edge_types), axis=1),
+            edge_types=edge_types,
+            group_capacity=self._group_capacity,
         )
+
+    @property
+    def _group_capacity(self) -> GroupCapacity | None:
+        return None if self.neighbor_list is None else self.neighbor_list.groups
 
     def _bodies(self, position: Array, velocity: Array, nodes: Nodes) -> Bodies:
         nodes = shaped(nodes, self.features, self.dimension)
@@ -201,7 +213,7 @@ class ContactDynamics(eqx.Module):
             held,
             holds.astype(bodies.position.dtype),
             dt=self.dt,
-            capacity=None if self.neighbor_list is None else self.neighbor_list.groups,
+            capacity=self._group_capacity,
         )
         return None if displacement is None else displacement.astype(bodies.velocity.dtype)
 
@@ -231,10 +243,6 @@ class ContactDynamics(eqx.Module):
             speed=self.features.speed,
         )
 
-    def _prior(self, geometry: Geometry, weight: Float[Array, " E"]) -> Float[Array, "E K"]:
-        """The prior by distance, its active part spread evenly over the active types."""
-        return spread_over_types(self.prior(geometry) * weight, self.inference.edge_types)
-
     def predict_belief(self, belief: ContactBelief, graph: EncodedGraph) -> ContactBelief:
         """Stage 2: the belief about the step. An edge beyond the cutoff is inactive, surely."""
         return self.predict_joint(belief, graph)[0]
@@ -250,7 +258,7 @@ class ContactDynamics(eqx.Module):
         cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
         joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
         memory = jax.tree.map(lambda each: each * graph.weight[:, None], free.memory)
-        return ContactBelief(types, graph.edge_id, memory), joint
+        return ContactBelief(types, graph.edge_id, memory, graph.edge_types), joint
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None
@@ -325,7 +333,7 @@ class ContactDynamics(eqx.Module):
     def prior_belief(self, graph: EncodedGraph) -> ContactBelief:
         """The belief of the inference before any observation."""
         first = self.inference.init(graph.embedding, graph.prior)
-        return dataclasses.replace(first, edge_id=graph.edge_id)
+        return dataclasses.replace(first, edge_id=graph.edge_id, edge_types=graph.edge_types)
 
     def initial_belief(
         self, position: Float[Array, "N D"], velocity: Float[Array, "N D"], nodes: Nodes
@@ -348,8 +356,6 @@ class ContactDynamics(eqx.Module):
         self, state: ModelState, control: Float[Array, " U"], nodes: Nodes
     ) -> SpringMassDamper:
         """Parameters of the next step, each [N, D]; `TypeError` where the dynamics have none."""
-        if not isinstance(self.local_dynamics, SpringMassDamperDynamics):
-            raise TypeError(f"{type(self.local_dynamics).__name__} has no spring-mass-damper")
         graph = self.encode_state(state, control, nodes)
         graph = self.cut_edges(graph, self.predict_belief(state.belief, graph))
         return self.local_dynamics.parameters(graph, self.dt)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,18 +23,17 @@ from contactgraph.inference.contact_belief import ContactBelief, ContactSensor, 
 from contactgraph.inference.features import turn_length_of
 from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
-from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.motion_likelihood import check_motion_model, correct_by_motion
 from contactgraph.model.step import ModelState, StepModel
 
 
-def check_fit(model: object, scene: Scene, control_size: int, other: str) -> None:
+def check_fit(model: Any, scene: Scene, control_size: int, other: str) -> None:
     """Raises `InvalidInputError` where a scene or its control do not suit the model.
 
-    ``other`` names what does not, e.g. ``"the data"``. Only a `ContactDynamics` declares what it is
-    for.
+    ``other`` names what does not, e.g. ``"the data"``. Only models with `Features`, such as a
+    `ContactDynamics`, declare what they are for.
     """
-    if not isinstance(model, ContactDynamics):
+    if not hasattr(model, "features"):
         return
     if model.neighbor_list is not None:
         raise InvalidInputError(
@@ -74,15 +74,13 @@ def check_fit(model: object, scene: Scene, control_size: int, other: str) -> Non
         )
 
 
-def check_controls(model: object, scene: Scene, control_size: int, other: str) -> None:
+def check_controls(model: Any, scene: Scene, control_size: int, other: str) -> None:
     """Raises `InvalidInputError` where the model's control does not reach a degree of freedom.
 
     Component d of the control moves degree of freedom d of every actuated node, and further ones
     move nothing. Free matrices (`FreeLinearDynamics`) map any control to any motion.
     """
-    if not isinstance(model, ContactDynamics):
-        return
-    aligned = model.local_dynamics.axis_aligned
+    aligned = getattr(getattr(model, "local_dynamics", None), "axis_aligned", False)
     if control_size < scene.dimension and scene.actuated.any() and aligned:
         raise InvalidInputError(
             f"{other} has actuated nodes, but control size U {control_size}; it must be at least "
@@ -108,8 +106,14 @@ def trajectory_for(
     contacts: bool = True,
 ) -> TrajectoryBatch[Array]:
     """One trajectory in the coordinates of the model, without a batch axis: `pad_trajectories`."""
-    size = node_capacity, steps, contacts, turn_length_of(model)
-    return on_device(pad_trajectories((trajectory,), *size).at(0), dtype_of(model))
+    batch = pad_trajectories(
+        (trajectory,),
+        node_capacity,
+        steps,
+        contacts=contacts,
+        turn_length=turn_length_of(model),
+    )
+    return on_device(batch.at(0), dtype_of(model))
 
 
 def dtype_of(model: object) -> np.dtype:

@@ -11,6 +11,8 @@ and the predicted probabilities of the pairs are multiplied by $e^{\ell_{ij}}$. 
 predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -54,9 +56,9 @@ def motion_noise(
     )
 
 
-def check_motion_model(model: object) -> ContactDynamics:
+def check_motion_model(model: Any) -> ContactDynamics:
     """The model, if motion can be judged by it; else raises `InvalidInputError`."""
-    if not isinstance(model, ContactDynamics):
+    if not hasattr(model, "predict_joint"):
         raise InvalidInputError(
             "motion_noise: the model must be a ContactDynamics, which predicts the motion with and "
             f"without each contact, found {type(model).__name__}"
@@ -97,7 +99,8 @@ def correct_by_motion(
     def by_edge() -> ContactBelief:
         graph = model.encode_state(before, control, nodes)
         predicted, joint = model.predict_joint(before.belief, graph)
-        ratios = edge_log_ratios(model, graph, joint, observed, noise)
+        first = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
+        ratios = edge_log_ratios(model, graph, joint, observed, noise, first)
         return posterior_by_motion(predicted, joint, ratios)
 
     usable, own = both_finite(before, observed), getattr(model, "with_motion", None)
@@ -112,14 +115,14 @@ def edge_log_ratios(
     joint: Float[Array, "E K K"],
     observed: Motion,
     noise: MotionNoise,
-    types: Float[Array, "E K"] | None = None,
+    types: Float[Array, "E K"],
 ) -> Float[Array, "E K K"]:
     """Log-likelihood of the motion with each edge of type i first and of type j in the end.
 
     Each is less that without the edge. ``graph`` is of the state from which the step begins, and
     ``joint`` the probability of the pairs of types: `ContactDynamics.predict_joint`. One edge is
-    judged after the other; those not judged yet have ``types``, where given, else the most probable
-    ones. Edges that are farther than the nearest few, or beyond the cutoff, have 0.
+    judged after the other; those not judged yet have ``types``, one-hot. Edges that are farther
+    than the nearest few, or beyond the cutoff, have 0.
     """
 
     bodies = graph.bodies
@@ -145,7 +148,7 @@ def edge_log_ratios(
     ) -> tuple[Float[Array, "E K"], Float[Array, "K K"]]:
         one_hot = jnp.eye(edge_types, dtype=types.dtype)
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
-        ratios = noise.log_ratios(motions, observed, bodies.nodes.mask, model.dt)
+        ratios = noise.log_ratios(motions, observed, bodies.nodes.mask, model.dt, graph.edge_types)
         ratios = ratios - ratios[0, 0]
         after = jnp.sum(pair_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
@@ -161,8 +164,6 @@ def edge_log_ratios(
         types, ratio = judge(types, edges[index])
         return index + 1, types, ratios.at[edges[index]].set(ratio.astype(ratios.dtype))
 
-    if types is None:
-        types = most_probable(ContactBelief(jnp.sum(joint, axis=1)))
     first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
 
@@ -184,7 +185,7 @@ def motion_given_types(
     touch here at their closest approach. The likelihood is that of the motion if the edge does act;
     how probable that is at its distance is part of the belief.
     """
-    belief = ContactBelief(types)
+    belief = ContactBelief(types, edge_types=model.inference.edge_types)
     graph = model.encode(position, velocity, control, nodes, belief, meeting, as_touching=True)
     return model.linearize(model.cut_edges(graph, belief))(position, velocity, control)
 

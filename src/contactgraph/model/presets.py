@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from jaxtyping import PRNGKeyArray
 
+from contactgraph.bodies.graph import HOLD, MOST_EDGE_TYPES, TOUCH, EdgeType, first_where
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.dynamics.actuation import Actuation, ActuationFit
@@ -28,10 +29,16 @@ from contactgraph.dynamics.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.inference.contact_belief import ArgmaxSample
-from contactgraph.inference.edge_inference import EdgeInference, PriorEdges, TransitionEdges
+from contactgraph.inference.edge_inference import (
+    ClosestApproachPrior,
+    EdgeInference,
+    NoCutoff,
+    PriorEdges,
+    SmoothCutoff,
+    TransitionEdges,
+)
 from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import PredictionNoise
-from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff, SmoothCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper import MemorylessEdges, RecurrentEdges
 
@@ -39,7 +46,6 @@ PLANE = "plane"
 """Stands for planes where types are named."""
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""
-_MOST_EDGE_TYPES = 16
 _MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04
 """Least probability of a transition in a step, and in a second of shorter steps."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 0.99
@@ -122,8 +128,8 @@ class ModelConfig:
     """See `RecurrentEdges`."""
     gumbel: bool = False
     """Whether edges are sampled in training, not the likeliest."""
-    edge_types: int = 3
-    """K of a filter: free, touch, then types that hold; of 2, free and hold. Others have 2."""
+    edge_types: tuple[EdgeType, ...] = (TOUCH, HOLD)
+    """The active types of a filter, see `usual_edge_types`; all others have one, which holds."""
 
     def __post_init__(self) -> None:
         counts = "dimension", "control_size", "width", "actuated_nodes", "driving_size", "substeps"
@@ -131,10 +137,10 @@ class ModelConfig:
         for name, size in (*sizes.items(), ("node_types", len(self.node_types))):
             if size is not None and not 0 <= size <= _MOST:
                 raise InvalidInputError(f"{name} must be 0 to {_MOST}, found {size}")
-        if not 2 <= self.edge_types <= _MOST_EDGE_TYPES:
+        if not 1 <= len(self.edge_types) <= MOST_EDGE_TYPES:
             raise InvalidInputError(
-                f"edge_types must be 2 to {_MOST_EDGE_TYPES}: free (0), touch (1) and types that "
-                f"hold, or free and hold; found {self.edge_types}"
+                f"edge_types must be 1 to {MOST_EDGE_TYPES} active types, such as touch and hold; "
+                f"found {len(self.edge_types)}"
             )
 
     @property
@@ -182,7 +188,7 @@ def ours(
     model_key, messages_key, rates_key = jax.random.split(key, 3)
     distance, width = config.contact_distance, config.width or 32
     filtered = inference is Inference.FILTER
-    config = config if filtered else dataclasses.replace(config, edge_types=2)
+    config = config if filtered else dataclasses.replace(config, edge_types=(HOLD,))
     features = InvariantFeatures(
         distance,
         config.speed,
@@ -199,7 +205,9 @@ def ours(
     noise: PredictionNoise | None = None
     edges: EdgeInference = PriorEdges(least=1.0)
     if filtered and config.identified:  # Nothing holds another, and outlines tell where they touch.
-        edges = PriorEdges(config.edge_types)
+        edges = PriorEdges(
+            config.edge_types, first_where(each.unilateral for each in config.edge_types)
+        )
     elif filtered:
         node_types, commands = features.node_types, config.control_size - driving
         edges = TransitionEdges(
@@ -210,12 +218,12 @@ def ours(
             min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
             key=rates_key,
         )
-        noise = PredictionNoise(config.edge_types, distance)
+        noise = PredictionNoise(len(config.edge_types), distance)
     elif inference is not Inference.NONE:
         messages = EdgeNetwork(size, width, key=messages_key)
         cell = RecurrentEdges if inference is Inference.RECURRENT else MemorylessEdges
         edges = cell(messages, key=rates_key)
-    keys = (jax.random.fold_in(key, index) for index in range(config.edge_types - 1))
+    keys = (jax.random.fold_in(key, index) for index in range(len(config.edge_types)))
     types: list[MessagePassing | EdgeNetwork] = [EdgeNetwork(size, width, key=k) for k in keys]
     learned = not config.averaged
     return ContactDynamics(

@@ -18,9 +18,9 @@ from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph, all_pairs
 from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
+from contactgraph.inference.edge_inference import ClosestApproachPrior, NoCutoff
 from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import Motion, MotionNoise
-from contactgraph.inference.prior import ClosestApproachPrior, NoCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig
 from contactgraph.model.step import ModelState
@@ -195,7 +195,7 @@ def relations(config: ModelConfig, *, key: PRNGKeyArray) -> RelationModel:
     length, width = config.contact_distance, config.width or 32
     return RelationModel(
         inference=StaticEdges(len(types), config.edge_types),
-        local_dynamics=RelationDynamics(length, len(types), config.edge_types, width, key=key),
+        local_dynamics=RelationDynamics(length, len(types), len(config.edge_types), width, key=key),
         features=InvariantFeatures(length, learned=False, types=types),
         prior=ClosestApproachPrior(),
         cutoff=NoCutoff(),

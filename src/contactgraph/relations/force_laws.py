@@ -110,13 +110,12 @@ class RelationDynamics(LocalDynamics):
     log_share: Float[Array, ""]
     length: float = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
-    edge_types: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
 
     def __init__(
-        self, length: float, node_types: int, edge_types: int, width: int, *, key: PRNGKeyArray
+        self, length: float, node_types: int, active_types: int, width: int, *, key: PRNGKeyArray
     ):
-        keys = jax.random.split(key, edge_types - 1)
+        keys = jax.random.split(key, active_types)
         laws = [ForceLaw(width, key=each) for each in keys]
         self.message_passing = ForceLaws(laws, node_types)
         self.discretization = ThetaMethod(_HALF, learned=False)
@@ -124,7 +123,7 @@ class RelationDynamics(LocalDynamics):
         self.log_damping = jnp.full(node_types, np.log(_FIRST_DAMPING) / _PACE)
         self.log_noise = jnp.full((), np.log(_FIRST_NOISE) / _PACE)
         self.log_share = jnp.full((), np.log(_FIRST_SHARE) / _PACE)
-        self.length, self.node_types, self.edge_types = length, node_types, edge_types
+        self.length, self.node_types = length, node_types
         self.width = width
 
     def noise(self, effects: Float[Array, "*T N D Z"]) -> Float[Array, "*T N"]:

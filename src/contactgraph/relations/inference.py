@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from contactgraph.bodies.graph import HOLD, EdgeType
 from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory, without_change
 from contactgraph.inference.edge_inference import EdgeInference
 
@@ -41,11 +42,11 @@ class StaticEdges(EdgeInference):
 
     log_prior: Float[Array, "node_types node_types K"]
     node_types: int = eqx.field(static=True)
-    edge_types: int = eqx.field(static=True)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
 
-    def __init__(self, node_types: int, edge_types: int = 2):
-        first = np.log([0.5, *[0.5 / (edge_types - 1)] * (edge_types - 1)])
-        self.log_prior = jnp.broadcast_to(jnp.asarray(first), (node_types, node_types, edge_types))
+    def __init__(self, node_types: int, edge_types: tuple[EdgeType, ...] = (HOLD,)):
+        first = np.log([0.5, *[0.5 / len(edge_types)] * len(edge_types)])
+        self.log_prior = jnp.broadcast_to(jnp.asarray(first), (node_types, node_types, len(first)))
         self.node_types = node_types
         self.edge_types = edge_types
 
@@ -70,7 +71,7 @@ class StaticEdges(EdgeInference):
         self, embedding: Float[Array, "E K+active"], prior: Float[Array, "E K"]
     ) -> ContactBelief:
         """The belief before the first observation, with sums of 0."""
-        log_prior, acts = jnp.split(embedding, [self.edge_types], axis=-1)
+        log_prior, acts = jnp.split(embedding, [1 + len(self.edge_types)], axis=-1)
         edges, active = acts.shape
         b, G = jnp.zeros_like(acts), jnp.zeros((edges, edges * active**2), acts.dtype)
         return MotionSums(log_prior, log_prior, acts, b, G).belief()
@@ -82,7 +83,7 @@ class StaticEdges(EdgeInference):
         prior: Float[Array, "E K"],
     ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
         """The belief about the next step: relations last, and act within their range."""
-        acts = embedding[:, self.edge_types :]
+        acts = embedding[:, 1 + len(self.edge_types) :]
         return without_change(dataclasses.replace(_sums(belief), acts=acts).belief())
 
 

@@ -226,7 +226,8 @@ def steps_of_types(
         position, velocity = jax.tree.map(
             lambda own, seen: jnp.where(rolled_out, own, seen), state, recorded
         )
-        graph = model.encode(position, velocity, control, window.nodes, ContactBelief(before))
+        believed = ContactBelief(before, edge_types=model.inference.edge_types)
+        graph = model.encode(position, velocity, control, window.nodes, believed)
         linear = model.linearize(model.cut_edges(graph, ContactBelief(types)))
         after = linear(position, velocity, control)
         return after, (*after, graph.weight > 0)

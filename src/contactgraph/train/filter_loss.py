@@ -238,7 +238,7 @@ def denial_score(
         types = predicted.type_probability
         stays = joint[..., 0, 0] / jnp.maximum(belief.type_probability[..., 0], _SMALLEST)
         score = -jnp.log(jnp.maximum(stays, _SMALLEST))
-        after = ContactBelief(jnp.where(denied, free, types), None, predicted.memory)
+        after = replace(predicted, type_probability=jnp.where(denied, free, types))
         return jax.vmap(where_observed)(after, denied | seen), score
 
     believed = jnp.where(at_once[:, None, None], free, prior)

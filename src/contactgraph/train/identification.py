@@ -18,7 +18,7 @@ import scipy
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.bodies.graph import EdgeList, EncodedGraph, edge_count
+from contactgraph.bodies.graph import EdgeList, EncodedGraph, edge_count, first_where
 from contactgraph.data.dataset import Dataset, with_edge_labels
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
@@ -121,8 +121,9 @@ def _velocity_errors(
     edges = edge_count(None, windows.position.shape[-2])
 
     def errors(window: TrajectoryBatch[Array]) -> Float[Array, "L N G"]:
-        shape = _STEPS, edges, model.inference.edge_types
-        touching = jnp.broadcast_to(jax.nn.one_hot(1, shape[-1]), shape)
+        types = model.inference.edge_types
+        touch = jax.nn.one_hot(first_where(each.unilateral for each in types), 1 + len(types))
+        touching = jnp.broadcast_to(touch, (_STEPS, edges, len(touch)))
         _, velocity, _ = steps_of_types(model, window, touching, touching, jnp.asarray(True))
         return jnp.where(window.nodes.mobile[:, None], velocity - window.velocity[1:], 0.0)
 
@@ -178,7 +179,8 @@ def likeliest_sensor(
     real: Bool[Array, "B T"],
 ) -> ContactSensor:
     """`estimate_sensor` from the encoded steps of trajectories, and what their motion says."""
-    kinds = (True, False) if model.inference.edge_types > 2 else (True,)
+    touches = any(each.unilateral for each in model.inference.edge_types)
+    kinds = (True, False) if touches else (True,)
     found = []
     for kind, delay in itertools.product(kinds, range(_LATEST + 1)):
         rates, shift = np.array([0.05, 0.05]), jnp.asarray(delay)

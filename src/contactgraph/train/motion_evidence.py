@@ -11,16 +11,16 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.bodies.geometry import Meeting
-from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.bodies.graph import EdgeType, EncodedGraph, first_where
 from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.inference.contact_belief import (
     ContactBelief,
     ContactSensor,
     correct,
-    first_holding_type,
     posterior_by_motion,
     without_change,
 )
@@ -115,7 +115,7 @@ def _evidence(
     graph = encode_steps(model, windows, devices=devices)
     without_edges = each_step(apart, graph)
     ratio = each_step(judge, graph, (windows.position[:, 1:], windows.velocity[:, 1:]))
-    types = jax.vmap(likeliest_types)(graph.prior, ratio)
+    types = jax.vmap(partial(likeliest_types, edge_types=graph.edge_types))(graph.prior, ratio)
     before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
     meeting = graph.contact_points.meeting
     return MotionEvidence(before, ratio, graph.prior, types, without_edges, meeting, None)
@@ -128,26 +128,28 @@ def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
     because of all its bonds: were the others taken for touches, each would seem to be one, and the
     dynamics would learn masses with which that is true.
     """
-    types = prior.edge_types
-    index = jnp.where(prior.type_probability[..., 0] < 0.5, first_holding_type(types), 0)
-    return jax.nn.one_hot(index, types, dtype=prior.type_probability.dtype)
+    types, hold = prior.type_probability, first_where(each.holds for each in prior.edge_types)
+    index = jnp.where(types[..., 0] < 0.5, hold, 0)
+    return jax.nn.one_hot(index, types.shape[-1], dtype=types.dtype)
 
 
 def likeliest_types(
-    prior: Float[Array, "L E K"], log_ratio: Float[Array, "L E K K"]
+    prior: Float[Array, "L E K"],
+    log_ratio: Float[Array, "L E K K"],
+    edge_types: tuple[EdgeType, ...],
 ) -> Float[Array, "L E K"]:
     """One-hot types of every edge in the steps of a window, each by the motion of all the steps.
 
     One step often leaves open whether a body is held, those around it do not. Forward and backward
     recursions of a hidden Markov model (Rabiner 1989, section III) whose touches come and go with
-    the geometry and whose holds last.
+    the geometry and whose other types last.
     """
     types = prior.shape[-1]
-    holds = jnp.arange(types) >= first_holding_type(types)
-    begins = prior * jnp.where(holds, _CHANGE, 1.0)
+    last = np.array([False, *(not each.unilateral for each in edge_types)])
+    begins = prior * jnp.where(last, _CHANGE, 1.0)
     begins = begins / jnp.sum(begins, axis=-1, keepdims=True)
     lasts = (1.0 - _CHANGE) * jnp.eye(types) + _CHANGE * prior[..., None, :]
-    change = jnp.where(holds[:, None], lasts, begins[..., None, :])
+    change = jnp.where(last[:, None], lasts, begins[..., None, :])
     pairs = jnp.log(jnp.maximum(change, _LEAST)) + log_ratio
 
     def forward(before: Array, pair: Array) -> tuple[Array, Array]:
@@ -167,7 +169,7 @@ def encode_evidence(
 ) -> EncodedGraph:
     """[B, L, ...] the steps' graphs, with gradients of the inference alone."""
     learned = dataclasses.replace(without_gradient(model), inference=model.inference)
-    before = ContactBelief(evidence.before)
+    before = ContactBelief(evidence.before, edge_types=model.inference.edge_types)
     return encode_steps(learned, evidence.weighed(windows), before, evidence.meeting)
 
 

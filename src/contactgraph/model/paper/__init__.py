@@ -7,7 +7,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry
-from contactgraph.bodies.graph import EncodedGraph
+from contactgraph.bodies.graph import HOLD, EdgeType, EncodedGraph
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing, TypedMessagePassing
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.local_dynamics import (
@@ -97,7 +97,7 @@ class _MessageEdges(EdgeInference):
     message_passing: MessagePassing | EdgeNetwork
     output: eqx.nn.Linear
     """Of the sum of an edge's two messages."""
-    edge_types: int = eqx.field(static=True)
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
 
     @property
     def networks(self) -> list[MessagePassing | EdgeNetwork]:
@@ -130,15 +130,16 @@ class RecurrentEdges(_MessageEdges):
         self,
         message_passing: MessagePassing | EdgeNetwork,
         *,
-        edge_types: int = 2,
+        edge_types: tuple[EdgeType, ...] = (HOLD,),
         temperature: float = 0.15,
         key: PRNGKeyArray,
     ):
         """`temperature` divides the cell's state before the softmax; at 1 no edge is certain."""
         keys = jax.random.split(key)
         self.message_passing = message_passing
-        self.output = eqx.nn.Linear(message_passing.width, 3 * edge_types, key=keys[0])
-        self.hidden = eqx.nn.Linear(edge_types, 3 * edge_types, key=keys[1])
+        count = 1 + len(edge_types)
+        self.output = eqx.nn.Linear(message_passing.width, 3 * count, key=keys[0])
+        self.hidden = eqx.nn.Linear(count, 3 * count, key=keys[1])
         self.edge_types = edge_types
         self.temperature = temperature
 
@@ -164,11 +165,11 @@ class MemorylessEdges(_MessageEdges):
         self,
         message_passing: MessagePassing | EdgeNetwork,
         *,
-        edge_types: int = 2,
+        edge_types: tuple[EdgeType, ...] = (HOLD,),
         key: PRNGKeyArray,
     ):
         self.message_passing = message_passing
-        self.output = eqx.nn.Linear(message_passing.width, edge_types, key=key)
+        self.output = eqx.nn.Linear(message_passing.width, 1 + len(edge_types), key=key)
         self.edge_types = edge_types
 
     def predict(
