@@ -279,6 +279,13 @@ def test_a_touch_acts_all_through_a_step_or_for_a_part_of_it() -> None:
     assert part[1, 0] - part[1, 1] == pytest.approx(np.log(2.0), abs=0.05)
 
 
+def test_a_hold_may_begin_after_a_touch_that_fills_the_step() -> None:
+    """Bodies that meet late in a step move as if they only touched; the next step tells."""
+    whole = pair_log_ratios([0.02, 0.02], (0.5, 0.5))
+    np.testing.assert_allclose(whole[:2, 2], whole[:2, 1] - np.log(2.0), atol=0.05)
+    assert whole[2, 2] < -5.0, "what was held before is none"
+
+
 def test_a_model_learns_how_exact_its_motion_and_its_effects_are() -> None:
     """Residuals of 0 would shrink both."""
     moved, still = jnp.ones((1, 2)), jnp.zeros((1, 2))

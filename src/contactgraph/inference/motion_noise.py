@@ -4,6 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.bodies.graph import EdgeType
@@ -120,12 +121,19 @@ class MotionNoise(eqx.Module):
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
         # end in the last instant. Bodies side by side may touch for a part of the step only.
-        touches = jnp.array([False, *(each.unilateral for each in edge_types)])[first]
+        pushes = np.array([False, *(each.unilateral for each in edge_types)])
+        holds = np.array([False, *(each.holds for each in edge_types)])
+        touches = jnp.asarray(pushes)[first]
         throughout_first, throughout_last = first * (types + 1), last * (types + 1)
         second = jnp.where(first == 0, throughout_last, jnp.arange(types**2))
         second = jnp.where(~touches & (first > last), throughout_first, second)
         second = jnp.where(touches & (first == last), first * types, second)
         likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
+        # A hold may begin in the last instant, too, after a touch.
+        if pushes.any():
+            begins = (touches | (first == 0)) & jnp.asarray(holds)[last]
+            touched = jnp.where(begins, first * types + np.argmax(pushes), jnp.arange(types**2))
+            likelihood = jnp.logaddexp(likelihood, likelihood[touched]) - jnp.log(2.0)
         likelihood = jnp.where(exists & jnp.isfinite(likelihood), likelihood, 0.0)
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
         contrast = _square(middle[0], middle[0][best]) / base_x
