@@ -49,10 +49,11 @@ class SpringLaw(cg.ContactLaw):
     def __call__(self, graph, embedding, message, *, theta, dt):
         parameters = super().__call__(graph, embedding, message, theta=theta, dt=dt)
         (stiffness, rest), geometry = jnp.exp(5.0 * self.spring), graph.geometry
+        mass = self.mass(graph.bodies.node_type, 0.0)
         pull = graph.active[:, -1:] * stiffness * (geometry.distance - rest)[:, None]
         pull = jnp.stack([pull, -pull]) * geometry.direction
-        force = cg.sum_at_nodes(pull, geometry.edge_index, len(graph.position))
-        acceleration = parameters.acceleration + force / self.mass(graph.node_type, 0.0)[:, None]
+        force = cg.sum_at_nodes(pull, geometry.edge_index, len(mass))
+        acceleration = parameters.acceleration + force / mass[:, None]
         return dataclasses.replace(parameters, acceleration=acceleration)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +15,9 @@ from contactgraph.bodies import geometry
 from contactgraph.control import ILQR, ActiveSetMPC, chain_cost, program_store
 from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.program_store import stored
+from contactgraph.dynamics import contact_law
 from contactgraph.envs import PickupTask
+from contactgraph.inference import contact_belief
 from contactgraph.model import (
     load_model,
     scene_nodes,
@@ -168,11 +171,15 @@ def test_without_a_likeness_the_first_result_is_traced(folder: Path) -> None:
         assert len(traces) == traced and len(files(folder)) == 1
 
 
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [(geometry, "geometry"), (contact_law, "pin_contacts"), (contact_belief, "correct")],
+)
 def test_a_function_that_is_rebound_is_traced(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str
 ) -> None:
     program()[0](LIMITS, jnp.ones(3))
-    monkeypatch.setattr(geometry, "geometry", lambda *_: None)
+    monkeypatch.setattr(module, name, lambda *_: None)
     step, traces = program()
     step(LIMITS, jnp.ones(3))
     assert traces

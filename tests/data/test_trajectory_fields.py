@@ -46,6 +46,27 @@ def quaternions() -> np.ndarray:
     return np.tile([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (STEPS + 1, NODES, 1))
 
 
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"gravity": np.zeros(3)}, "gravity must have shape (D,) = (2,), found (3,)"),
+        ({"anchor": np.full((3, 5), np.nan)}, "anchor must have shape (N, D)"),
+        ({"planes": np.zeros((0, 7))}, "planes must have shape (P, D+1)"),
+        ({"planes": 5}, "planes must have shape (P, D+1)"),
+        ({"pins": [[0, 1]], "pin_points": []}, "pins and pin_points must be given together"),
+        (
+            {"polygons": [[[0, 0], [1, 0], [0, 1]]], "polygon_of": []},
+            "polygons and polygon_of must be given together",
+        ),
+        ({"polygons": (), "polygon_of": [0]}, "polygons and polygon_of must be given together"),
+    ],
+)
+def test_an_array_that_says_nothing_has_the_right_axes(fields: dict, message: str) -> None:
+    """As many nodes or states as there may be, since a part of a trajectory has fewer."""
+    with pytest.raises(InvalidInputError, match=re.escape(message)):
+        scene(**fields)
+
+
 def test_every_field_is_stored_in_its_type() -> None:
     of = scene(
         static=[0, 0, 1],

@@ -311,6 +311,32 @@ def test_a_number_of_edge_types_that_means_nothing_is_refused(types) -> None:
         usual_edge_types(types)
 
 
+@pytest.mark.parametrize("coupling", [0.0, 1.5, float("nan")])
+def test_a_coupling_outside_of_its_range_is_refused(coupling: float) -> None:
+    with pytest.raises(InvalidInputError, match=r"coupling must lie in \(0, 1\]"):
+        EdgeType("hold", holds=True, coupling=coupling)
+
+
+def test_a_count_is_no_edge_types() -> None:
+    with pytest.raises(InvalidInputError, match=r"usual_edge_types\(3\)"):
+        ModelConfig(2, 2, DT, edge_types=3)  # type: ignore[arg-type]
+
+
+def test_beliefs_of_an_inference_are_about_its_types() -> None:
+    """Types in another order than the usual one."""
+    inference = TransitionEdges(
+        EdgeNetwork(6, 8, key=jax.random.PRNGKey(0)),
+        node_types=2,
+        edge_types=(HOLD, TOUCH),
+        key=jax.random.PRNGKey(1),
+    )
+    embedding, prior = jnp.ones((1, 8)), jnp.array([[0.1, 0.8, 0.1]])
+    first = inference.init(embedding, prior)
+    predicted, _ = inference.predict(first, embedding, prior)
+    for each in (first, predicted):
+        np.testing.assert_allclose(each.holding, each.type_probability[:, 1])
+
+
 @pytest.mark.parametrize("types", [0, 16])
 def test_a_model_has_at_least_one_active_type_and_few(types) -> None:
     with pytest.raises(InvalidInputError, match=f"edge_types must be 1 to 15 .*found {types}"):

@@ -51,6 +51,7 @@ from contactgraph.train import (
     load_checkpoint,
     save_checkpoint,
 )
+from contactgraph.train.fit import objective_of, training_data
 from contactgraph.train.objective import TrainingData, bounded_distance
 from contactgraph.train.window_loss import WindowObjective
 
@@ -122,6 +123,18 @@ def test_a_first_state_has_the_types_of_all_that_follow(straight: tuple) -> None
         return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in arrays]
 
     assert types(straight[1][0].state) == types(first_state())
+
+
+def test_another_number_of_trajectories_recompiles_nothing(recorded: Path) -> None:
+    """Programs are compiled for the shapes of all arrays that they are given."""
+
+    def shapes(count: int) -> list[tuple[int, ...]]:
+        train, held_out = split(recorded)
+        model, part = first_state().model, Dataset(train.trajectories[:count])
+        data = training_data(model, objective_of(model), part, held_out, CONFIG, jax.devices()[:1])
+        return [np.shape(leaf) for leaf in jax.tree.leaves(data)]
+
+    assert shapes(5) == shapes(6)
 
 
 def test_training_stops_where_the_held_out_error_no_longer_falls(recorded: Path) -> None:

@@ -29,9 +29,13 @@ def jitted_loss(model, windows: TrajectoryBatch) -> LossTerms:
 jitted_rmse = eqx.filter_jit(rollout_rmse)
 
 
-class Graph(eqx.Module):
+class Moving(eqx.Module):
     position: jax.Array
     velocity: jax.Array
+
+
+class Graph(eqx.Module):
+    bodies: Moving
     control: jax.Array
     weight: jax.Array
     control_displacement: jax.Array
@@ -58,7 +62,7 @@ class Still(eqx.Module):
         # Of what moves with the control: what is believed to hold.
         held = jnp.sum(before.holding)
         moved = self.gain * held * jnp.stack([control, control])
-        return Graph(position, velocity, control, jnp.where(exists, 1.0, 0.0), moved)
+        return Graph(Moving(position, velocity), control, jnp.where(exists, 1.0, 0.0), moved)
 
     def prior_belief(self, graph):
         return two_type_belief(jnp.full(graph.weight.shape, 0.2))
@@ -70,7 +74,7 @@ class Still(eqx.Module):
         return graph
 
     def linearize(self, local):
-        blocks = jnp.zeros((*local.position.shape, 2, 2))
+        blocks = jnp.zeros((*local.bodies.position.shape, 2, 2))
         return LinearDynamics(blocks + jnp.eye(2), blocks, blocks[..., 0])
 
     def initial_belief(self, position, velocity, nodes):
@@ -156,7 +160,7 @@ class Pushed(Still):
     gain: jax.Array = eqx.field(default_factory=lambda: jnp.ones(()))
 
     def linearize(self, local):
-        keep = jnp.zeros((*local.position.shape, 2, 2)).at[..., 0, 0].set(1.0)
+        keep = jnp.zeros((*local.bodies.position.shape, 2, 2)).at[..., 0, 0].set(1.0)
         displacement = local.control_displacement
         offset = jnp.stack([jnp.zeros_like(displacement), displacement], axis=-1)
         return LinearDynamics(keep, jnp.zeros_like(keep), offset)

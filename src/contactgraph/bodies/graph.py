@@ -30,7 +30,11 @@ class EdgeType:
     """Whether it couples the bodies in all directions, so that they move together."""
     coupling: float = 1.0
     """Share of the relative motion that it takes at the start of training, in (0, 1]. Types that
-    start at 1, rigid, stay stiff and have no spring."""
+    start at 1, rigid, stay stiff and have no spring. Raises `InvalidInputError` beyond that."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.coupling <= 1.0:
+            raise InvalidInputError(f"coupling must lie in (0, 1], found {self.coupling}")
 
     @property
     def contact(self) -> bool:
@@ -39,7 +43,7 @@ class EdgeType:
 
     @property
     def rigid(self) -> bool:
-        """Whether it stays stiff."""
+        """Whether its coupling starts at 1, and it stays stiff."""
         return self.coupling == 1.0
 
 

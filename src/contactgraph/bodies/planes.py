@@ -121,9 +121,8 @@ def weighed_down(geometry: Geometry, nodes: Nodes, dt: float) -> Float[Array, " 
 
 
 Sliding = Callable[[Float[Array, "N G"]], tuple[Float[Array, "N 1"], Float[Array, "N G"]]]
-"""From velocities to the speed, m/s, with which each body slides, and what makes up its square: the
-part for the square of the velocity along each coordinate, which is the force over that velocity,
-times the speed."""
+"""From velocities [N, G] m/s to each body's sliding speed [N, 1] m/s, and to the weights [N, G]
+with which the squares of its velocities sum up to the square of that speed."""
 
 
 def hull_sliding(bodies: Bodies, turn_length: float, slow: float) -> Sliding:

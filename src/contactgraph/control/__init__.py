@@ -49,4 +49,5 @@ from contactgraph.control.subproblem import InteractionCutoff as InteractionCuto
 from contactgraph.control.subproblem import interaction_cutoff as interaction_cutoff
 from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
 
-note_bindings(*(f"contactgraph.{each}" for each in ("data", "bodies", "model", "control")))
+_TRACED = "data", "bodies", "inference", "dynamics", "model", "control"
+note_bindings(*(f"contactgraph.{each}" for each in _TRACED))

@@ -148,7 +148,7 @@ class BeliefCost(_OfPairs):
         edge = edge_id(jnp.min(self.pairs, axis=-1), jnp.max(self.pairs, axis=-1))
         count = edge_id(0, states.shape[1])
         listed = jax.vmap(lambda belief: belief.over(edge, count))(beliefs)
-        active, holding = listed.probability, listed.holding
+        active, holding = listed.contact, listed.holding
         violated = jnp.where(self.kind == _AVOID, active, 1.0 - active)
         violated = jnp.where(self.kind == _HOLD, 1.0 - holding, violated)
         far = jnp.where(self.kind == _AVOID, 0.0, (length / _LENGTH) ** 2)

@@ -81,7 +81,8 @@ class Demonstrations(eqx.Module):
             return problem, states, controls
         of_nodes = states.reshape(horizon + 1, -1, 2, contacts.dimension)
         count = of_nodes.shape[1]
-        more, q = contacts.expanded(of_nodes, ContactBelief(types), jnp.arange(count))
+        believed = ContactBelief(types, edge_types=self.beliefs.edge_types)
+        more, q = contacts.expanded(of_nodes, believed, jnp.arange(count))
         # From `block_state`'s order to `stack_state`'s.
         order = np.arange(states.shape[1]).reshape(2, count, -1).swapaxes(0, 1).reshape(-1)
         problem = replace(
@@ -224,7 +225,7 @@ def task_nodes(demonstrations: Dataset, filtered: FilteredTrajectory) -> tuple[T
     actuated and has no active edge in any demonstration at any step. Raises `InvalidInputError`,
     naming the demonstration, where nothing touches or a node that takes part is missing.
     """
-    probability = np.asarray(filtered.posterior.probability)
+    probability = np.asarray(filtered.posterior.contact)
     contact_times: dict[str, list[float]] = {}
     counts: dict[str, int] = {}
     actuated: set[str] = set()

@@ -8,6 +8,7 @@ as Python, a file that is damaged is written again, and only the programs of the
 the source remain.
 """
 
+import dataclasses
 import hashlib
 import logging
 import shutil
@@ -245,6 +246,9 @@ def _named(value: Any) -> str:
             return " ".join(_described(value))
         case Enum():
             return f"{_named(type(value))}.{value.name}"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = (_named(getattr(value, each.name)) for each in dataclasses.fields(value))
+        return f"{_named(type(value))}({', '.join(parts)})"
     if value is type(None):
         return "NoneType"
     if type(value).__name__ == "_Missing":  # Equinox's mark of a field without a value

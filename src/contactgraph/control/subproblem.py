@@ -60,7 +60,8 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     outer = getattr(getattr(model, "cutoff", None), "outer", math.inf)
     if not math.isfinite(outer):
         return None
-    networks = [*parts.local_dynamics.message_passing.networks, *parts.inference.networks]
+    passing = getattr(getattr(model, "local_dynamics", None), "message_passing", None)
+    networks = [*getattr(passing, "networks", [None]), *parts.inference.networks]
     if any(getattr(network, "rounds", 1) for network in networks):
         return None
     head = getattr(parts.local_dynamics, "head", None)

@@ -17,10 +17,12 @@ from contactgraph.data.errors import InvalidInputError
 Owner = TypeVar("Owner")
 
 ABSENT: Any = None
-"""In place of an array that is not given, of which the constructor makes `Field.absent`."""
+"""For an array that is not given; the constructor replaces it by `Field.absent`."""
 
 _ROWS = {"N": "for", "T": "at step", "T+1": "at step", **dict.fromkeys("EJLPQ", "in row")}
 """Axes along which values do not form a vector, and how an error names an index of them."""
+_COUNTED = "N", "T", "T+1"
+"""Axes that count nodes, steps and states."""
 _OWN_ROWS = "JPQ"
 """Axes of things that a scene has any number of."""
 _LEAST = {"T": 1, "L": 2, "V": 3}
@@ -145,13 +147,25 @@ class Field:
         return np.full(shape, self.fill, self.kind)
 
     def is_absent(self, value: Any) -> bool:
-        """Whether a value, of any shape, says no more than `absent`."""
+        """Whether a value, of any shape, equals what stands for an array that is not given."""
         if value is None or self.fill is None:
             return value is None
         if self.axis[0] in _OWN_ROWS:
-            return not len(value)
+            return np.ndim(value) > 0 and not len(value) if not self.is_tuple else not value
         found = np.asarray(value)
         return bool(np.all(found != found if np.isnan(self.fill) else found == self.fill))
+
+    def may_be_absent(self, value: Any, sizes: dict[str, int]) -> bool:
+        """`is_absent`, for as many nodes or states as there may be: other axes have to fit."""
+        if value is None or self.is_tuple or not self.is_absent(value):
+            return self.is_absent(value)
+        found, free = np.shape(value), self.axis[0] in _OWN_ROWS
+        if free and found == (0,):
+            return True
+        wanted = [None if axis in _COUNTED else _size(axis, sizes) for axis in self.axis]
+        return len(found) == len(wanted) and all(
+            size in (None, one) for size, one in zip(wanted, found, strict=True)
+        )
 
     def checked(
         self, name: str, value: Any, sizes: dict[str, int], node_name: tuple[str, ...]
@@ -238,7 +252,7 @@ def fields_of(owner: Any) -> dict[str, Field]:
 
 
 def given_fields(owner: Any) -> dict[str, Field]:
-    """Those of them that are given."""
+    """The fields whose arrays are given, by their names."""
     fields = fields_of(owner)
     return {name: each for name, each in fields.items() if not each.is_absent(getattr(owner, name))}
 
@@ -248,7 +262,7 @@ def check_fields(owner: Any, sizes: dict[str, int], node_name: tuple[str, ...]) 
     those that are not given."""
     for name, field in fields_of(owner).items():
         value = getattr(owner, name)
-        if field.is_absent(value):
+        if field.may_be_absent(value, sizes):
             value = field.absent(sizes)
         else:
             value = field.checked(name, value, sizes, node_name)

@@ -20,6 +20,7 @@ from contactgraph.data.schema import (
     TURNS_OR_NONE,
     Field,
     check_fields,
+    fields_of,
     given_fields,
 )
 from contactgraph.data.turns import continued_angles, rotation_vectors, turned_by
@@ -102,7 +103,8 @@ class Scene:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
         for name, other in (("polygons", "polygon_of"), ("pins", "pin_points")):
-            if (getattr(self, name) is None) != (getattr(self, other) is None):
+            fields = fields_of(self)
+            if len({fields[each].is_absent(getattr(self, each)) for each in (name, other)}) > 1:
                 raise InvalidInputError(f"{name} and {other} must be given together")
         check_fields(self, {"D": self.dimension}, tuple(self.node_name))
         if self.polygons and self.dimension not in (2, 3):

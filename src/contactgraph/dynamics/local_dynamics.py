@@ -206,7 +206,7 @@ class WithoutContacts(eqx.Module):
         return None
 
     def retract(self, before: Bodies, after: Bodies, **step: Any) -> Bodies:
-        """See `ContactLaw.retract`: as they are."""
+        """Returns ``after`` unchanged; see `ContactLaw.retract`."""
         return after
 
 

@@ -239,7 +239,7 @@ class MPCPolicy:
         if len(order) < 3:
             return order
         node_ids = state.node_ids.tolist()
-        believed = state.belief.holding if self._holds else state.belief.probability
+        believed = state.belief.holding if self._holds else state.belief.contact
         active = pair_indices(len(node_ids))[np.asarray(believed) > 0.5]
         contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
         contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True

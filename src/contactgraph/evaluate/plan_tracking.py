@@ -233,7 +233,7 @@ def edge_probabilities(
     ``belief`` is about the nodes ``node_ids``, -1 for padding. Edges of other nodes are beyond the
     model's cutoff from all that matters, and taken to be inactive.
     """
-    probability = np.asarray(belief.holding if holds else belief.probability, np.float64)
+    probability = np.asarray(belief.holding if holds else belief.contact, np.float64)
     first, second = node_ids[pair_indices(len(node_ids))].T
     known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
     first, second = first[known], second[known]

@@ -117,7 +117,7 @@ class EdgeInference(eqx.Module):
 
     def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
         """The belief before the first observation: by default the geometric prior."""
-        return ContactBelief(prior)
+        return ContactBelief(prior, edge_types=self.edge_types)
 
     @property
     def networks(self) -> list[MessagePassing | EdgeNetwork]:
@@ -252,7 +252,7 @@ class TransitionEdges(EdgeInference):
         edges, types = prior.shape
         sizes = 1, self.memory_size, types - 1
         clock = EdgeClock(*(jnp.zeros((edges, size), prior.dtype) for size in sizes))
-        return ContactBelief(prior, memory=clock)
+        return ContactBelief(prior, memory=clock, edge_types=self.edge_types)
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
@@ -269,7 +269,8 @@ class TransitionEdges(EdgeInference):
         logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, :] + rates
         joint = before[:, :, None] * _bounded_softmax(logits, self.min_transition)
         clock = EdgeClock(unobserved + 1.0, hidden, 1.0 + age * _kept_share(joint))
-        return ContactBelief(jnp.sum(joint, axis=1), memory=clock), joint
+        after = jnp.sum(joint, axis=1)
+        return ContactBelief(after, memory=clock, edge_types=self.edge_types), joint
 
 
 def _bounded_softmax(logits: Float[Array, "E K K"], least: float) -> Float[Array, "E K K"]:
@@ -311,4 +312,5 @@ class PriorEdges(EdgeInference):
         active = self.least + (1.0 - self.least) * jnp.sum(prior[:, 1:], axis=-1)
         types = jnp.zeros_like(prior).at[:, 0].set((1.0 - self.least) * prior[:, 0])
         types = types.at[:, self.active_type].set(active)
-        return ContactBelief(types), types[:, :, None] * jnp.eye(types.shape[-1], dtype=types.dtype)
+        joint = types[:, :, None] * jnp.eye(types.shape[-1], dtype=types.dtype)
+        return ContactBelief(types, edge_types=self.edge_types), joint

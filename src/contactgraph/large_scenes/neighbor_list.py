@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Generic, TypeVar
@@ -19,7 +20,6 @@ from contactgraph.data.dataset import Dataset
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_count, pair_indices
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.inference.edge_inference import SmoothCutoff
 from contactgraph.large_scenes.block_inverse import GroupsOf
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.step import StepModel
@@ -250,7 +250,7 @@ class ReallocatingModel(Generic[_Model]):
         self._grown: _Model | None = None
         if not isinstance(model, ContactDynamics) or model.neighbor_list is not None:
             return
-        if not isinstance(model.cutoff, SmoothCutoff):
+        if not math.isfinite(getattr(model.cutoff, "outer", math.inf)):
             return
         count = max(one.scene.node_count for one in dataset)
         if count < CELLS_FROM and _MAX_SHARE * pair_count(count) <= _MIN_SPARE:
@@ -308,7 +308,6 @@ def _cell_sizes(model: ContactDynamics, states: Sequence[_State], spare: float) 
 
 def _most(model: ContactDynamics, states: Sequence[_State], count: Callable[..., Array]) -> int:
     """The largest ``count(position, bound, mask, cutoff)`` of these states; see `NeighborList`."""
-    assert isinstance(model.cutoff, SmoothCutoff)
     cutoff, dt = model.cutoff.outer, model.dt
 
     @jax.jit

@@ -166,7 +166,8 @@ def trajectory_masses(
 
     def step(masses: MassBelief, inputs: tuple) -> tuple[MassBelief, None]:
         position, velocity, control, types, after = inputs
-        belief, weighed = ContactBelief(types), with_masses(nodes, masses)
+        belief = ContactBelief(types, edge_types=model.inference.edge_types)
+        weighed = with_masses(nodes, masses)
         before = ModelState(position, velocity, belief)
         masses = correct_masses(model, masses, before, belief, control, after, weighed, noise)
         return masses, None

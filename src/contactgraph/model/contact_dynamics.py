@@ -100,10 +100,11 @@ class ContactDynamics(eqx.Module):
                 f"local_dynamics must have one message network for each of the {active_types} "
                 f"active edge types (edge_types), found {networks}"
             )
-        if self.neighbor_list is not None and not math.isfinite(self.cutoff.outer):
+        outer = getattr(self.cutoff, "outer", math.inf)
+        if self.neighbor_list is not None and not math.isfinite(outer):
             raise InvalidInputError(
-                "neighbor_list: lists of near pairs need a SmoothCutoff, beyond which no edge is "
-                f"active; found {type(self.cutoff).__name__}"
+                "neighbor_list: lists of near pairs need a cutoff with a finite outer, such as a "
+                f"SmoothCutoff; found {type(self.cutoff).__name__}"
             )
 
     def encode(

@@ -137,10 +137,12 @@ class ModelConfig:
         for name, size in (*sizes.items(), ("node_types", len(self.node_types))):
             if size is not None and not 0 <= size <= _MOST:
                 raise InvalidInputError(f"{name} must be 0 to {_MOST}, found {size}")
-        if not 1 <= len(self.edge_types) <= MOST_EDGE_TYPES:
+        kinds = self.edge_types
+        if not isinstance(kinds, tuple) or not 1 <= len(kinds) <= MOST_EDGE_TYPES:
             raise InvalidInputError(
-                f"edge_types must be 1 to {MOST_EDGE_TYPES} active types, such as touch and hold; "
-                f"found {len(self.edge_types)}"
+                f"edge_types must be 1 to {MOST_EDGE_TYPES} active types, such as "
+                f"usual_edge_types(3), touch and hold; found "
+                f"{len(kinds) if isinstance(kinds, tuple) else kinds!r}"
             )
 
     @property
@@ -230,7 +232,7 @@ def ours(
         inference=edges,
         local_dynamics=SpringMassDamperDynamics(
             TypedMessagePassing(types),
-            _law(config, features, width, driving, jax.random.fold_in(model_key, 1)),
+            _law(config, width, driving, jax.random.fold_in(model_key, 1)),
             ThetaMethod(config.theta if learned else 1.0, learned),
         ),
         features=features,
@@ -245,9 +247,7 @@ def ours(
     )
 
 
-def _law(
-    config: ModelConfig, features: InvariantFeatures, width: int, driving: int, key: PRNGKeyArray
-) -> ContactLaw:
+def _law(config: ModelConfig, width: int, driving: int, key: PRNGKeyArray) -> ContactLaw:
     types = config.node_types or ("object", "actuated")
     with jax.ensure_compile_time_eval():  # starts are numbers, also where shapes alone are asked
         drives = Actuation.from_fits(types, config.dimension, driving, config.actuation)

@@ -104,7 +104,7 @@ def window_source(
 
 @dataclass(frozen=True)
 class BatchSplit:
-    """Data parallelism over devices, which takes nothing apart for fewer than two.
+    """Splits batches over devices; for fewer than two it changes nothing.
 
     XLA sums the gradient over them.
     """

@@ -24,9 +24,7 @@ from contactgraph.bodies.graph import EdgeList
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import TrajectoryBatch
-from contactgraph.inference.contact_belief import (
-    ContactBelief,
-)
+from contactgraph.inference.contact_belief import ContactBelief
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -61,7 +59,7 @@ class ExpectationMaximisation(Objective):
     """`dynamics_loss`, and `filter_loss` in the second half of training."""
 
     near_pairs = False  # the types of all pairs are judged
-    burn = 20
+    least_burn, burn = 1, 20
     # Where geometry tells the contact, rollouts do not tell a filter that has hardly learned.
     compared_from = 0.75
 

@@ -221,7 +221,7 @@ def training_data(
     batch, other = padded(labelled, contacts=config.use_contacts), padded(held_out, contacts=False)
     length, fraction = config.window_length, config.event_fraction
     shortest = min(each.steps for each in held_out)
-    burn = min(objective.burn, max(1, shortest - length))
+    burn = max(objective.least_burn, min(objective.burn, shortest - length))
     source, checked = split.replicate(
         (
             window_source(batch, length, fraction),
@@ -230,7 +230,7 @@ def training_data(
     )
     return TrainingData(
         config=config,
-        batch=batch,
+        batch=None if objective.stepwise else batch,
         source=source,
         held_out=checked,
         distractors=config.bystanders if has_resting_bodies(batch) else 0,

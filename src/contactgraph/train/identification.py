@@ -58,14 +58,16 @@ def identifies_laws(model: ContactDynamics) -> bool:
 
 
 class LawIdentification(Objective):
-    """`identify_laws`, at once."""
+    """One call of `identify_laws` in place of optimiser steps."""
 
     stepwise = False
+    near_pairs = False
 
     def advance(
         self, state: FitState, data: TrainingData, count: int, neighbor_list: EdgeList | None
     ) -> tuple[FitState, dict[str, Array]]:
         """The state with these laws; there is no loss."""
+        assert data.batch is not None
         model = identify_laws(state.model, data.batch)
         return replace(state, model=model, step=state.step + count), {}
 

@@ -129,11 +129,12 @@ class FitState(eqx.Module):
 
 
 class TrainingData(eqx.Module):
-    """What a training reads, on its devices."""
+    """What a training reads. The arrays of `source` and `held_out` are on its devices."""
 
     config: TrainConfig
-    batch: TrajectoryBatch[np.ndarray]
-    """The trajectories as recorded, on the host."""
+    batch: TrajectoryBatch[np.ndarray] | None
+    """The trajectories as recorded, on the host, for an objective that takes no steps. Programs
+    would be compiled anew for another number of trajectories."""
     source: WindowSource
     held_out: HeldOutWindows
     distractors: int
@@ -156,11 +157,12 @@ class Objective:
     """Whether edges may be restricted to lists of near pairs."""
     rolls_out = True
     """Whether the errors of rollouts are a term."""
-    burn = 0
-    """Most steps before a held-out window whose motion tells the belief in its first state."""
+    least_burn = burn = 0
+    """Least and most steps before a held-out window, whose motion tells the belief in its first
+    state."""
     compared_from = -math.inf
-    """Part of the steps from which held-out errors are compared: the first model after it is better
-    than all before."""
+    """Share of the steps after which held-out errors count. The first check after it replaces the
+    best model in any case."""
 
     def optimiser(self, config: TrainConfig) -> optax.GradientTransformation:
         """Of the dynamics, or of the whole model."""
@@ -180,7 +182,8 @@ class Objective:
         raise NotImplementedError
 
     def checked(self, held_out: Dataset, steps: int, devices: int) -> Dataset:
-        """Those of the held-out trajectories, of at most so many steps, that checks can afford."""
+        """The held-out trajectories used in checks, fewer where all would take too long; ``steps``
+        is the longest."""
         return held_out
 
     @eqx.filter_jit

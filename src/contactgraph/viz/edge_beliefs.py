@@ -125,7 +125,8 @@ def belief_timeline(
     belief, state = {}, {}
     for source, (batch, noise) in corrections.items():
         posterior, *_ = filtered_beliefs(model, batch, sensor, noise)
-        contacts = ContactBelief(posterior.type_probability[1 : trajectory.steps + 1, edge])
+        types = posterior.type_probability[1 : trajectory.steps + 1, edge]
+        contacts = ContactBelief(types, edge_types=posterior.edge_types)
         belief[source] = np.asarray(sensor.contact_probability(contacts))
         state[source] = _likeliest(contacts, sensor.reports_touch)
     first, second = (trajectory.scene.node_name[n] for n in pair_indices(nodes)[edge])
@@ -167,7 +168,7 @@ def _true_states(trajectory: Trajectory, unlabelled: bool) -> np.ndarray:
 
 def _likeliest(belief: ContactBelief, unlabelled: bool) -> np.ndarray:
     """[T] int: index in `EDGE_STATES` of the likeliest state."""
-    active, hold = np.asarray(belief.probability), np.asarray(belief.holding)
+    active, hold = np.asarray(belief.contact), np.asarray(belief.holding)
     if unlabelled:
         return np.where(active > 0.5, _CONTACT, _FREE)
     return np.argmax(np.stack([1.0 - active, active - hold, hold]), axis=0)
