@@ -235,7 +235,7 @@ def near_pairs(name: str, max_edges: int = 9, cell_capacity: int = 9) -> Contact
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: near_pairs("no_inference"), r"need a SmoothCutoff.*found NoCutoff"),
+        (lambda: near_pairs("no_inference"), r"need a cutoff with a finite outer.*found NoCutoff"),
         (lambda: near_pairs("recurrent", 4, 0), "cell_capacity must be at least 1, found 0"),
         (lambda: check_motion_model(near_pairs("recurrent")), "must have no neighbor list"),
     ],
