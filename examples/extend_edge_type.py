@@ -52,9 +52,8 @@ class SpringLaw(cg.ContactLaw):
         mass = self.mass(graph.bodies.node_type, 0.0)
         pull = graph.active[:, -1:] * stiffness * (geometry.distance - rest)[:, None]
         pull = jnp.stack([pull, -pull]) * geometry.direction
-        force = cg.sum_at_nodes(pull, geometry.edge_index, len(mass))
-        acceleration = parameters.acceleration + force / mass[:, None]
-        return dataclasses.replace(parameters, acceleration=acceleration)
+        force = cg.sum_at_nodes(pull, geometry.edge_index, len(mass)) / mass[:, None]
+        return dataclasses.replace(parameters, acceleration=parameters.acceleration + force)
 
 
 def error(*further: cg.EdgeType) -> float:

@@ -21,8 +21,6 @@ ABSENT: Any = None
 
 _ROWS = {"N": "for", "T": "at step", "T+1": "at step", **dict.fromkeys("EJLPQ", "in row")}
 """Axes along which values do not form a vector, and how an error names an index of them."""
-_COUNTED = "N", "T", "T+1"
-"""Axes that count nodes, steps and states."""
 _OWN_ROWS = "JPQ"
 """Axes of things that a scene has any number of."""
 _LEAST = {"T": 1, "L": 2, "V": 3}
@@ -147,25 +145,15 @@ class Field:
         return np.full(shape, self.fill, self.kind)
 
     def is_absent(self, value: Any) -> bool:
-        """Whether a value, of any shape, equals what stands for an array that is not given."""
-        if value is None or self.fill is None:
-            return value is None
-        if self.axis[0] in _OWN_ROWS:
-            return np.ndim(value) > 0 and not len(value) if not self.is_tuple else not value
+        """Whether a value equals what stands for an array that is not given, for any sizes."""
+        if value is None or self.fill is None or self.is_tuple:
+            return value is None or (self.is_tuple and not len(value))
         found = np.asarray(value)
+        if self.axis[0] in _OWN_ROWS:
+            return found.ndim > 0 and not len(found)
+        if found.ndim != len(self.axis):
+            return False
         return bool(np.all(found != found if np.isnan(self.fill) else found == self.fill))
-
-    def may_be_absent(self, value: Any, sizes: dict[str, int]) -> bool:
-        """`is_absent`, for as many nodes or states as there may be: other axes have to fit."""
-        if value is None or self.is_tuple or not self.is_absent(value):
-            return self.is_absent(value)
-        found, free = np.shape(value), self.axis[0] in _OWN_ROWS
-        if free and found == (0,):
-            return True
-        wanted = [None if axis in _COUNTED else _size(axis, sizes) for axis in self.axis]
-        return len(found) == len(wanted) and all(
-            size in (None, one) for size, one in zip(wanted, found, strict=True)
-        )
 
     def checked(
         self, name: str, value: Any, sizes: dict[str, int], node_name: tuple[str, ...]
@@ -262,7 +250,7 @@ def check_fields(owner: Any, sizes: dict[str, int], node_name: tuple[str, ...]) 
     those that are not given."""
     for name, field in fields_of(owner).items():
         value = getattr(owner, name)
-        if field.may_be_absent(value, sizes):
+        if field.is_absent(value):
             value = field.absent(sizes)
         else:
             value = field.checked(name, value, sizes, node_name)
