@@ -61,8 +61,8 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     if not math.isfinite(outer):
         return None
     passing = getattr(getattr(model, "local_dynamics", None), "message_passing", None)
-    networks = [*getattr(passing, "networks", [None]), *parts.inference.networks]
-    if any(getattr(network, "rounds", 1) for network in networks):
+    own = getattr(passing, "networks", ())
+    if not own or any(getattr(each, "rounds", 1) for each in (*own, *parts.inference.networks)):
         return None
     head = getattr(parts.local_dynamics, "head", None)
     if getattr(head, "turn_length", 0.0) is not None:  # no law of contact, or pins join far bodies

@@ -102,8 +102,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidInputError(f"dt must be a positive number of seconds, found {self.dt}")
+        fields = fields_of(self)
         for name, other in (("polygons", "polygon_of"), ("pins", "pin_points")):
-            fields = fields_of(self)
             if len({fields[each].is_absent(getattr(self, each)) for each in (name, other)}) > 1:
                 raise InvalidInputError(f"{name} and {other} must be given together")
         check_fields(self, {"D": self.dimension}, tuple(self.node_name))
