@@ -1,5 +1,6 @@
 """Rollouts of a policy through a model, with the linearisation and bounds of the motion."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -34,8 +35,6 @@ class Rollout(eqx.Module):
     x: Float[Array, "H+1 m"]
     """`block_state` of the M nodes, ``m = 2MD``."""
     controls: Float[Array, "H U"]
-    control_displacement: Float[Array, "H N D"]
-    """m; displacement of each node by the step's control alone: see `control_displacement`."""
     dynamics: LinearDynamics
     """[H, M, D, …]"""
 
@@ -81,10 +80,8 @@ def roll_out(
         x = block_state(state.position, state.velocity, node_ids)
         u = stage(x, limits)
         after, linear = take_step(model, state, u, nodes)
-        displacement = control_displacement(model, state, u, nodes)
         part = jax.tree.map(lambda block: block[node_ids].astype(x.dtype), linear)
-        made = Rollout(after.position, after.velocity, after.belief, x, u, displacement, part)
-        return after, made
+        return after, Rollout(after.position, after.velocity, after.belief, x, u, part)
 
     last, steps = jax.lax.scan(step, begin, policy)
     return Rollout(
@@ -93,7 +90,6 @@ def roll_out(
         beliefs=steps.beliefs,
         x=jnp.concatenate([steps.x, block_state(last.position, last.velocity, node_ids)[None]]),
         controls=steps.controls,
-        control_displacement=steps.control_displacement,
         dynamics=steps.dynamics,
     )
 
@@ -123,16 +119,26 @@ class SweptBounds(eqx.Module):
     def with_rollout(
         self,
         index: Int[Array, ""],
+        model: StepModel,
+        begin: ModelState,
         rollout: Rollout,
         counts: Bool[Array, " H"],
         nodes: Nodes,
         dt: float,
     ) -> "SweptBounds":
-        """With the rollout of this index, in those steps of ``dt`` [s] that count."""
-        position = rollout.position[:-1]
+        """With the rollout of this index from ``begin``, in steps of ``dt`` [s] that count."""
+        position, velocity = rollout.position[:-1], rollout.velocity[:-1]
+        belief = jax.tree.map(
+            lambda first, later: jnp.concatenate([first[None], later[:-1]]),
+            begin.belief,
+            rollout.beliefs,
+        )
+        driven = jax.vmap(partial(control_displacement, model), in_axes=(0, 0, None))(
+            ModelState(position, velocity, belief), rollout.controls, nodes
+        )
         # A parabola lies within its ends and the point where its tangents meet.
-        middle = position + 0.5 * dt * rollout.velocity[:-1]
-        unhindered = position + dt * rollout.velocity[:-1] + rollout.control_displacement
+        middle = position + 0.5 * dt * velocity
+        unhindered = position + dt * velocity + driven
         lower, upper = _boxes([position, middle, unhindered, rollout.position[1:]], nodes)
         counts = counts[:, None, None]
         lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)
