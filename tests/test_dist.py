@@ -89,6 +89,6 @@ def test_the_wheel_installs_from_a_folder_and_runs(built: Path, tmp_path: Path) 
     assert str(target) in where
     assert lines == [
         "['contactgraph', 'franka', 'reproduce', 'robot']",
-        "ContactDynamics(TransitionEdges, D=2, U=2, dt=0.05 s)",
+        "ContactDynamics(DurationEdges, D=2, U=2, dt=0.05 s)",
         "True",
     ]

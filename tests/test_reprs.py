@@ -30,7 +30,7 @@ def one_of_each() -> dict[str, object]:
         "Trajectory(T=200, N=4, D=2, U=2, contact)": trajectory,
         "Scene(1 gripper, 3 object; N=4, D=2, dt=0.05 s)": trajectory.scene,
         "Dataset(2 trajectories, T=200, N=4, D=2, U=2, dt=0.05 s)": Dataset((trajectory,) * 2),
-        "ContactDynamics(TransitionEdges, D=2, U=2, dt=0.05 s)": model,
+        "ContactDynamics(DurationEdges, D=2, U=2, dt=0.05 s)": model,
         f"StoredModel(model={model!r})": load_model(shipped_model("pickup")),
         "QuadraticCost(Q[16, 16], R[2, 2], goal[16])": cost,
         "LearnedCost(hand, box; Q[8, 8])": LearnedCost(

@@ -74,7 +74,7 @@ def test_the_geometric_prior_takes_the_place_of_inference(
         assert cli.run(["evaluate", "pickup", str(fresh), "--inference", name]) == 130
     models = [call.arguments[0] for call in calls]
     kinds = [type(model.inference).__name__ for model in models]
-    assert kinds == ["TransitionEdges", "PriorEdges", "PriorEdges"]
+    assert kinds == ["DurationEdges", "PriorEdges", "PriorEdges"]
     assert [model.inference.active_type for model in models[1:]] == [1, 2]
     two_types = ours(ModelConfig(2, 2, 0.05, width=4, edge_types=(HOLD,)), key=jax.random.key(0))
     for name in ("prior-touch", "prior-hold"):  # the only active type holds

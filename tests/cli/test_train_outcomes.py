@@ -74,7 +74,7 @@ def test_errors_stand_beside_their_baselines(
 @pytest.mark.parametrize(
     ("flags", "parts", "written"),
     [
-        ("", ("TransitionEdges", "SpringMassDamperDynamics"), {"model": "ours", "steps": 750}),
+        ("", ("DurationEdges", "SpringMassDamperDynamics"), {"model": "ours", "steps": 750}),
         (
             "--model ours-memoryless",
             ("MemorylessEdges", "SpringMassDamperDynamics"),
@@ -87,7 +87,7 @@ def test_errors_stand_beside_their_baselines(
         ),
         (
             "--use-contacts --sensor estimate --edge-types 4",
-            ("TransitionEdges", "SpringMassDamperDynamics"),
+            ("DurationEdges", "SpringMassDamperDynamics"),
             {"use_contacts": True, "sensor": "estimate", "edge_types": 4},
         ),
     ],

@@ -79,7 +79,7 @@ def stored_model(name: str | Path) -> ContactDynamics:
 
     >>> import contactgraph
     >>> contactgraph.load("pickup")
-    ContactDynamics(TransitionEdges, D=2, U=2, dt=0.05 s)
+    ContactDynamics(DurationEdges, D=2, U=2, dt=0.05 s)
     """
     preset, _ = _split(str(name))
     return load_model(model_path(str(name)), model_preset(preset) if preset else None).model

@@ -23,14 +23,9 @@ _CHANGE = 0.02
 class EdgeMemory(eqx.Module):
     """State of the inference of every edge besides the types; this one holds nothing.
 
-    An inference that remembers has a class of its own, whose arrays are [*T, E, M] and are 0 where
-    an edge is not listed.
+    An inference that remembers has a class of its own, whose arrays are [*T, E, ...] and are 0
+    where an edge is not listed.
     """
-
-    @property
-    def observed(self) -> Self:
-        """That of edges whose bodies have just been observed."""
-        return self
 
     def after_motion(
         self,
@@ -85,26 +80,23 @@ class ContactBelief(eqx.Module):
         types = self.type_probability
         inactive = jnp.zeros(types.shape[-1], types.dtype).at[0].set(1.0)
 
-        def moved(values: Float[Array, "E V"], unlisted: Float[Array, " V"]) -> Float[Array, "F V"]:
+        def moved(values: Array, unlisted: Array) -> Array:
             if edge_id is None:
                 everywhere = jnp.repeat(unlisted[None], count, axis=0)
                 return everywhere.at[self.edge_id].set(values, mode="drop")
             if self.edge_id is None:
-                listed = values.at[edge_id].get(mode="clip")
-                return jnp.where((edge_id < count)[:, None], listed, unlisted)
-            # Both ascend.
-            row = jnp.minimum(jnp.searchsorted(self.edge_id, edge_id), self.edge_id.shape[0] - 1)
-            return jnp.where((self.edge_id[row] == edge_id)[:, None], values[row], unlisted)
+                row, known = jnp.minimum(edge_id, count - 1), edge_id < count
+            else:  # Both ascend.
+                last = self.edge_id.shape[0] - 1
+                row = jnp.minimum(jnp.searchsorted(self.edge_id, edge_id), last)
+                known = self.edge_id[row] == edge_id
+            known = jnp.expand_dims(known, tuple(range(1, values.ndim)))
+            return jnp.where(known, values[row], unlisted)
 
         if edge_id is None and self.edge_id is None:
             return self
         memory = jax.tree.map(lambda each: moved(each, jnp.zeros_like(each[0])), self.memory)
         return ContactBelief(moved(types, inactive), edge_id, memory, self.edge_types)
-
-    @property
-    def observed(self) -> "ContactBelief":
-        """The same about bodies that have just been observed."""
-        return dataclasses.replace(self, memory=self.memory.observed)
 
 
 def nothing_active(edge_types: tuple[EdgeType, ...]) -> ContactBelief:
@@ -204,7 +196,7 @@ def correct(
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
     memory = belief.memory.after_report(belief.type_probability, types)
-    return dataclasses.replace(belief, type_probability=types, memory=memory.observed)
+    return dataclasses.replace(belief, type_probability=types, memory=memory)
 
 
 def _listed(rate: float | Array, edge_id: Int[Array, " E"]) -> float | Array:

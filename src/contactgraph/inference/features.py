@@ -19,8 +19,9 @@ _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 _PACE = 5.0
 """Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
-_STILL = 0.02
-"""Approach in a step, in contact distances, of bodies at rest with each other."""
+_TOUCHING, _GAPS = 0.001, (0.003, 0.03)
+"""Gap, in contact distances, of bodies that touch, at most, and approach in a step of such that
+rest; and those gaps beyond it at which bodies have just parted, and are merely near."""
 
 
 class Features(eqx.Module):
@@ -213,23 +214,16 @@ class InvariantFeatures(Features):
         return jnp.stack([features, features])
 
 
-def stillness(geometry: Geometry) -> Float[Array, "*B E"]:
-    """1 where the bodies of an edge do not approach each other within the step, else down to 0."""
+def approach_gap_and_switches(
+    geometry: Geometry, nodes: Nodes, switches: Float[Array, " C"]
+) -> Float[Array, "E 3+C"]:
+    """1 where the bodies of an edge approach each other in the step, else 0; their bounded gap
+    before it, on two scales, 0 where they touch; and the switches of actuated ends."""
     touch = jax.lax.stop_gradient(geometry.contact_distance)
-    approach = (geometry.distance - geometry.closest_approach) / touch
-    return jnp.exp(-((approach / _STILL) ** 2))
-
-
-def with_commands(
-    features: Float[Array, "2 E F"],
-    geometry: Geometry,
-    nodes: Nodes,
-    command: Float[Array, " C"],
-) -> Float[Array, "2 E F+1+C"]:
-    """The edge features, then stillness, and the commands on actuated ends."""
-    acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * command
-    known = jnp.concatenate([stillness(geometry)[:, None], acting], axis=-1)
-    return jnp.concatenate([features, jnp.stack([known, known]).astype(features.dtype)], -1)
+    gap = jnp.maximum(geometry.distance / touch - 1.0 - _TOUCHING, 0.0)[:, None]
+    approaches = (geometry.distance - geometry.closest_approach) / touch > _TOUCHING
+    acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * switches
+    return jnp.concatenate([approaches[:, None], gap / (np.array(_GAPS) + gap), acting], axis=-1)
 
 
 def turn_length_of(model: object) -> float | None:

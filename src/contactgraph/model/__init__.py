@@ -33,12 +33,12 @@ from contactgraph.inference.contact_belief import correct as correct
 from contactgraph.inference.contact_belief import default_sensor as default_sensor
 from contactgraph.inference.contact_belief import two_type_belief as two_type_belief
 from contactgraph.inference.contact_belief import without_change as without_change
+from contactgraph.inference.durations import DurationEdges as DurationEdges
 from contactgraph.inference.edge_inference import ClosestApproachPrior as ClosestApproachPrior
 from contactgraph.inference.edge_inference import EdgeInference as EdgeInference
 from contactgraph.inference.edge_inference import NoCutoff as NoCutoff
 from contactgraph.inference.edge_inference import PriorEdges as PriorEdges
 from contactgraph.inference.edge_inference import SmoothCutoff as SmoothCutoff
-from contactgraph.inference.edge_inference import TransitionEdges as TransitionEdges
 from contactgraph.inference.features import Features as Features
 from contactgraph.inference.features import InvariantFeatures as InvariantFeatures
 from contactgraph.inference.features import turn_length_of as turn_length_of

@@ -254,12 +254,13 @@ class ContactDynamics(eqx.Module):
         """The belief about the step, and the probability of each pair of types before and after."""
         before = belief.over(graph.edge_id, pair_count(len(graph.bodies.position)))
         free, joint = self.inference.predict(before, graph.embedding, graph.prior)
-        active = free.type_probability[:, 1:] * graph.weight[:, None]
-        types = jnp.concatenate([1.0 - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)
-        cut = joint[:, :, 1:] * (1.0 - graph.weight[:, None, None])
-        joint = joint.at[:, :, 1:].add(-cut).at[:, :, 0].add(jnp.sum(cut, axis=-1))
-        memory = jax.tree.map(lambda each: each * graph.weight[:, None], free.memory)
+        types, joint = (_within_cutoff(each, graph) for each in (free.type_probability, joint))
+        memory = jax.tree.map(lambda each: _weight(graph, each.ndim) * each, free.memory)
         return ContactBelief(types, graph.edge_id, memory, graph.edge_types), joint
+
+    def transitions(self, graph: EncodedGraph) -> Float[Array, "E K A K"]:
+        """`EdgeInference.transitions` of the step."""
+        return _within_cutoff(self.inference.transitions(graph.embedding, graph.prior), graph)
 
     def cut_edges(
         self, graph: EncodedGraph, belief: ContactBelief, key: PRNGKeyArray | None = None
@@ -360,3 +361,17 @@ class ContactDynamics(eqx.Module):
         graph = self.encode_state(state, control, nodes)
         graph = self.cut_edges(graph, self.predict_belief(state.belief, graph))
         return self.local_dynamics.parameters(graph, self.dt)
+
+
+def _weight(graph: EncodedGraph, axes: int) -> Float[Array, "E ..."]:
+    """That of the edges, to be multiplied with an array of so many axes."""
+    return jnp.expand_dims(graph.weight, tuple(range(1, axes)))
+
+
+def _within_cutoff(
+    probability: Float[Array, "E *V K"], graph: EncodedGraph
+) -> Float[Array, "E *V K"]:
+    """Probabilities of the types after a step; beyond the cutoff none is active."""
+    active = probability[..., 1:] * _weight(graph, probability.ndim)
+    whole = jnp.sum(probability, axis=-1, keepdims=True)
+    return jnp.concatenate([whole - jnp.sum(active, axis=-1, keepdims=True), active], axis=-1)

@@ -29,13 +29,13 @@ from contactgraph.dynamics.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.inference.contact_belief import ArgmaxSample
+from contactgraph.inference.durations import DurationEdges
 from contactgraph.inference.edge_inference import (
     ClosestApproachPrior,
     EdgeInference,
     NoCutoff,
     PriorEdges,
     SmoothCutoff,
-    TransitionEdges,
 )
 from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import PredictionNoise
@@ -175,7 +175,7 @@ class Inference(StrEnum):
     """Which edges are active, and by what; all but the filter are ablations, and have two types."""
 
     FILTER = "filter"
-    """A hidden Markov filter: see `TransitionEdges`."""
+    """A hidden Markov filter: see `DurationEdges`."""
     RECURRENT = "recurrent"
     """The paper's recurrent cell."""
     MEMORYLESS = "memoryless"
@@ -212,8 +212,8 @@ def ours(
         )
     elif filtered:
         node_types, commands = features.node_types, config.control_size - driving
-        edges = TransitionEdges(
-            EdgeNetwork(size + 1 + commands + node_types, width, key=messages_key),
+        edges = DurationEdges(
+            width,
             node_types=node_types,
             edge_types=config.edge_types,
             commands=commands,

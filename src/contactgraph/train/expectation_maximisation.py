@@ -1,10 +1,9 @@
-"""Expectation maximisation: the motion is judged, then dynamics and filter learn from that.
+"""Expectation maximisation (Baum-Welch): the motion is judged, then the model learns from that.
 
-The E-step draws whole trajectories and judges what their motion says of every edge: see
+The E-step draws whole trajectories and finds what their motion says of every edge: see
 `MotionEvidence`. In the M-step the dynamics learn from windows of them with the likeliest types of
-the very step, so they do not pay for contacts that nothing could predict. In the second half of
-training the filter learns, too: what untrained dynamics call evidence teaches that nothing ever
-holds.
+the very step, so they do not pay for contacts that nothing could predict; and the transitions of
+the inference learn as a classifier of the expected transitions.
 
 Each part is a program of its own, since programs compile in more than proportion to their size, and
 the held-out trajectories are judged by the program of the others.
@@ -29,7 +28,6 @@ from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.body_mass import mass_score
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.train.batch import WindowSource
-from contactgraph.train.filter_loss import PERIOD, filter_optimiser, learn_filter
 from contactgraph.train.held_out import HeldOutWindows
 from contactgraph.train.motion_evidence import (
     MotionEvidence,
@@ -52,11 +50,15 @@ from contactgraph.train.window_loss import masked_mean, rollout_error
 _SMALLEST = 1e-6
 _JUDGED, _MOST, _LEAST = 6400, 32, 8
 """About as many steps are judged at once, of so many trajectories."""
+_PERIOD = 25
+"""Steps on the same judged trajectories."""
+_CLASSIFIED = 8
+"""Judged trajectories whose transitions are classified in a step."""
 _judge = eqx.filter_jit(motion_evidence)
 
 
 class ExpectationMaximisation(Objective):
-    """`dynamics_loss`, and `filter_loss` in the second half of training."""
+    """`dynamics_loss` and `transition_loss`."""
 
     near_pairs = False  # the types of all pairs are judged
     least_burn, burn = 1, 20
@@ -64,13 +66,8 @@ class ExpectationMaximisation(Objective):
     compared_from = 0.75
 
     def optimiser(self, config: TrainConfig) -> optax.GradientTransformation:
-        """Of the dynamics."""
+        """Of the whole model."""
         return optimiser_of(config, bounded_distance(in_lengths=True))
-
-    def optimiser_state(self, model: ContactDynamics, config: TrainConfig) -> PyTree:
-        """Of the dynamics' optimiser, and of the filter's."""
-        inference = eqx.filter(model.inference, eqx.is_inexact_array)
-        return super().optimiser_state(model, config), filter_optimiser(config).init(inference)
 
     def checked(self, held_out: Dataset, steps: int, devices: int) -> Dataset:
         """As many as are judged at once."""
@@ -81,21 +78,19 @@ class ExpectationMaximisation(Objective):
     ) -> tuple[FitState, dict[str, Array]]:
         """See `Objective.advance`."""
         steps, split = data.source.weight.shape[1], data.split
-        length = PERIOD if count % PERIOD == 0 else count
+        length = _PERIOD if count % _PERIOD == 0 else count
         periods, joined = [], state.step >= data.config.first_rollout
         for _ in range(count // length):
-            state, drawn, (key, filter_key) = _draw(state, data.source, _count(steps, split.parts))
-            evidence = _judge(state.model, split.shard(drawn.trajectories), split.parts)
-            state, terms = self._learn_dynamics(state, data, drawn, evidence, key, length, joined)
-            if 2 * int(state.step) > data.config.steps:
-                state, score = learn_filter(state, data, drawn.trajectories, evidence, filter_key)
-                terms = replace(terms, likelihood=score)
+            state, drawn, key = _draw(state, data.source, _count(steps, split.parts))
+            every = split.shard(drawn.trajectories)
+            evidence = _judge(state.model, every, split.parts, data.reports_touch)
+            state, terms = self._learn(state, data, drawn, evidence, key, length, joined)
             periods.append(terms)
         means = jax.tree.map(lambda *each: jnp.mean(jnp.stack(each)), *periods)
         return state, vars(means)
 
     @eqx.filter_jit
-    def _learn_dynamics(
+    def _learn(
         self,
         state: FitState,
         data: TrainingData,
@@ -105,34 +100,46 @@ class ExpectationMaximisation(Objective):
         count: int,
         joined: Bool[Array, ""],
     ) -> tuple[FitState, LossTerms]:
-        """``count`` steps on windows of judged trajectories; the filter does not learn."""
+        """``count`` steps: the M-step."""
         config = data.config
         params, static = eqx.partition(state.model, eqx.is_inexact_array)
         # A half of the windows is predicted from their first states, as soon as that counts.
         rolled_out = (jnp.arange(config.batch_size) % 2 == 1) & joined
+        share = _CLASSIFIED / jnp.sum(jnp.any(data.source.weight > 0, axis=1))
 
         def loss(
-            params: PyTree, windows: TrajectoryBatch[Array], evidence: MotionEvidence
+            params: PyTree,
+            windows: TrajectoryBatch[Array],
+            of_windows: MotionEvidence,
+            trajectories: TrajectoryBatch[Array],
+            of_trajectories: MotionEvidence,
         ) -> tuple[Array, LossTerms]:
-            terms = dynamics_loss(eqx.combine(params, static), windows, evidence, rolled_out)
+            model = eqx.combine(params, static)
+            terms = dynamics_loss(model, windows, of_windows, rolled_out)
+            likelihood = transition_loss(model, trajectories, of_trajectories, share)
+            terms = replace(terms, likelihood=likelihood)
             return terms.total(config.weights), terms
 
         def slope(params: PyTree, key: PRNGKeyArray) -> tuple[PyTree, LossTerms]:
+            key, draw_key = jax.random.split(key)
             trajectory, start = drawn.draw_starts(config.batch_size, key)
             steps = trajectory[:, None], start[:, None] + jnp.arange(drawn.length)
             told = jax.tree.map(lambda leaf: leaf[steps], evidence)
             windows, told = data.split.shard((drawn.take(trajectory, start), told))
             windows = told.weighed(windows)
-            (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(params, windows, told)
+            some = jax.random.randint(draw_key, (_CLASSIFIED,), 0, len(drawn.weight))
+            every = jax.tree.map(lambda leaf: leaf[some], (drawn.trajectories, evidence))
+            (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(
+                params, windows, told, *every
+            )
             return gradient, terms
 
-        of_dynamics, of_filter = state.optimiser
         keys, optimiser = jax.random.split(key, count), self.optimiser(config)
-        params, of_dynamics, terms = descend(slope, optimiser, params, of_dynamics, keys)
+        params, optimiser_state, terms = descend(slope, optimiser, params, state.optimiser, keys)
         learned = replace(
             state,
             model=eqx.combine(params, static),
-            optimiser=(of_dynamics, of_filter),
+            optimiser=optimiser_state,
             step=state.step + count,
         )
         return learned, terms
@@ -155,10 +162,10 @@ def _count(steps: int, devices: int) -> int:
 
 @eqx.filter_jit
 def _draw(state: FitState, source: WindowSource, count: int) -> tuple:
-    """The state with its next key, windows of whole trajectories, and two keys."""
-    key, draw_key, *keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
+    """The state with its next key, windows of whole trajectories, and a key."""
+    key, draw_key, step_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
     state = replace(state, key=jax.random.key_data(key))
-    return state, source.draw_trajectories(count, draw_key), keys
+    return state, source.draw_trajectories(count, draw_key), step_key
 
 
 def dynamics_loss(
@@ -167,7 +174,7 @@ def dynamics_loss(
     evidence: MotionEvidence,
     rolled_out: Bool[Array, " B"],
 ) -> LossTerms:
-    """Terms over a batch of windows, given the likeliest types; the filter does not learn.
+    """Terms over a batch of windows, given the likeliest types; the inference does not learn.
 
     Windows that are ``rolled_out`` are predicted from their first states, of the others each step
     from the recorded one.
@@ -204,6 +211,26 @@ def dynamics_loss(
         rollout=masked_mean(rollout, mobile & rolled_out[:, None, None]),
         noise=noise,
     )
+
+
+def transition_loss(
+    model: ContactDynamics,
+    trajectories: TrajectoryBatch[Array],
+    evidence: MotionEvidence,
+    share: Float[Array, ""] | float = 1.0,
+) -> Float[Array, ""]:
+    """Mean cross-entropy of the transitions of edges within the cutoff, nat; only they learn.
+
+    The trajectories are a ``share`` of all data, and have as much of the parameters' prior.
+    """
+    graph = encode_evidence(model, trajectories, evidence)
+    transitions = jax.vmap(jax.vmap(model.transitions))(graph)
+    cross = -jnp.sum(
+        evidence.flow * jnp.log(jnp.maximum(transitions, _SMALLEST)), axis=(-3, -2, -1)
+    )
+    counted = (graph.weight > 0) & trajectories.step_mask[..., None]
+    prior = share * model.inference.log_prior / jnp.maximum(jnp.sum(counted), 1)
+    return masked_mean(cross, counted) - prior
 
 
 def steps_of_types(
@@ -245,8 +272,7 @@ def _first_beliefs(
     """`ExpectationMaximisation.first_beliefs` by the evidence of whole trajectories."""
     last = held_out.trajectory, held_out.start + held_out.burn - 1
     graph = encode_evidence(model, trajectories, evidence)
-    observed = jnp.ones(evidence.types.shape[:2], bool)
-    along = jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed)
+    along = jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio)
     belief = jax.tree.map(lambda leaf: leaf[last], along.after)
     told = jax.tree.map(lambda leaf: leaf[last][:, None], evidence)
     return belief, told.weighed(held_out.windows)

@@ -220,7 +220,7 @@ def _expected(
     report = jax.lax.dynamic_slice_in_dim(padded, 1 + delay, length, axis=1)
     compared = jnp.pad(real, ((0, 0), (0, _LATEST)))[:, _LATEST:]
     along = jax.vmap(partial(filter_steps, model, sensor=sensor))
-    filtered = along(graph, log_ratio, jnp.ones_like(real), report)
+    filtered = along(graph, log_ratio, report)
     counted = compared[..., None] & (graph.weight > 0) & jnp.isfinite(report)
     said = jnp.where(counted, report, 0.0)
     after = sensor.contact_probability(filtered.after)

@@ -2,7 +2,7 @@
 
 The observed motion of a step says of every edge how likely it is with each pair of types, at the
 start and in the end of the step: log ratios, of which no gradient is taken. All steps of a
-trajectory together say which type each edge has; a filter says it from those up to the present.
+trajectory together, with the model's transitions, say which type each edge has, and since when.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EdgeType, EncodedGraph, first_where
@@ -24,6 +24,7 @@ from contactgraph.inference.contact_belief import (
     posterior_by_motion,
     without_change,
 )
+from contactgraph.inference.durations import smoothed_flows
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses
 from contactgraph.model.contact_dynamics import ContactDynamics
@@ -32,8 +33,8 @@ from contactgraph.train.batch import map_steps
 from contactgraph.train.window_loss import edges_of, encode_steps
 
 _LEAST = 1e-6
-_CHANGE = 0.1
-"""Probability a step that a hold begins or ends, where geometry does not tell."""
+_LABELS = ContactSensor(false_alarm=0.01, miss=0.01)
+"""What recorded contacts are taken for."""
 
 
 class MotionEvidence(eqx.Module):
@@ -43,10 +44,10 @@ class MotionEvidence(eqx.Module):
     """`types` of the step before each step, or likely ones."""
     log_ratio: Float[Array, "B L E K K"]
     """`edge_log_ratios`."""
-    prior: Float[Array, "B L E K"]
-    """`EncodedGraph.prior` where nothing is held."""
+    flow: Float[Array, "B L E K A K"]
+    """`smoothed_flows` by the model's transitions."""
     types: Float[Array, "B L E K"]
-    """The likeliest type of each edge in each step, one-hot."""
+    """The likeliest type of each edge in each step by all steps, one-hot."""
     without_edges: Motion
     """[B, L, N, D] m and m/s; where each step would lead."""
     meeting: Meeting | None
@@ -68,9 +69,12 @@ def without_gradient(model: ContactDynamics) -> ContactDynamics:
 
 
 def motion_evidence(
-    model: ContactDynamics, windows: TrajectoryBatch[Array], devices: int = 1
+    model: ContactDynamics,
+    windows: TrajectoryBatch[Array],
+    devices: int = 1,
+    reports_touch: bool = True,
 ) -> MotionEvidence:
-    """The likelihood of the recorded motion of every step.
+    """The likelihood of the recorded motion of every step, and of recorded contacts.
 
     Where masses differ within a type, contacts are judged with the usual masses, then the motion
     with these contacts tells each body's own mass, with which contacts are judged again.
@@ -78,7 +82,7 @@ def motion_evidence(
     model = without_gradient(model)
     first, noise = jax.vmap(partial(first_masses, model))(windows.nodes), motion_noise(model)
     if first is None:
-        return _evidence(model, windows, devices)
+        return _evidence(model, windows, devices, reports_touch)
     steps = windows.control.shape[1]
 
     def weigh(window: TrajectoryBatch[Array], types: Array, first: MassBelief) -> MassBelief:
@@ -87,7 +91,7 @@ def motion_evidence(
 
     def judge(masses: MassBelief, _: None) -> tuple[MassBelief, MotionEvidence]:
         nodes = windows.nodes._replace(log_mass=masses.mean)
-        found = _evidence(model, windows._replace(nodes=nodes), devices)
+        found = _evidence(model, windows._replace(nodes=nodes), devices, reports_touch)
         return jax.vmap(weigh)(windows, found.types, first), found
 
     masses, rounds = jax.lax.scan(judge, first, length=2)  # One program to compile.
@@ -97,7 +101,7 @@ def motion_evidence(
 
 
 def _evidence(
-    model: ContactDynamics, windows: TrajectoryBatch[Array], devices: int
+    model: ContactDynamics, windows: TrajectoryBatch[Array], devices: int, reports_touch: bool
 ) -> MotionEvidence:
     noise = motion_noise(model)
     each_step = partial(map_steps, edges=edges_of(model, windows), devices=devices)
@@ -115,10 +119,38 @@ def _evidence(
     graph = encode_steps(model, windows, devices=devices)
     without_edges = each_step(apart, graph)
     ratio = each_step(judge, graph, (windows.position[:, 1:], windows.velocity[:, 1:]))
-    types = jax.vmap(partial(likeliest_types, edge_types=graph.edge_types))(graph.prior, ratio)
+    if windows.contact is not None:
+        ratio += _label_ratios(windows.contact[:, 1:], graph.edge_types, reports_touch)[
+            ..., None, :
+        ]
+    flow = jax.vmap(partial(smoothed_steps, model))(graph, ratio)
+    smoothed = jnp.sum(flow, axis=(-3, -2))
+    types = jax.nn.one_hot(jnp.argmax(smoothed, axis=-1), smoothed.shape[-1], dtype=smoothed.dtype)
     before = jnp.concatenate([types[:, :1], types[:, :-1]], axis=1)
     meeting = graph.contact_points.meeting
-    return MotionEvidence(before, ratio, graph.prior, types, without_edges, meeting, None)
+    return MotionEvidence(before, ratio, flow, types, without_edges, meeting, None)
+
+
+def smoothed_steps(
+    model: ContactDynamics, graph: EncodedGraph, log_ratio: Float[Array, "L E K K"]
+) -> Float[Array, "L E K A K"]:
+    """`smoothed_flows` of a window by the model's transitions: one step often leaves open whether
+    a body is held, those around it do not."""
+    first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
+    transitions = jax.vmap(model.transitions)(graph)
+    table = model.inference.table(first)
+    return smoothed_flows(model.inference, table, graph.embedding, transitions, log_ratio)
+
+
+def _label_ratios(
+    contact: Float[Array, "B L E"], edge_types: tuple[EdgeType, ...], reports_touch: bool
+) -> Float[Array, "B L E K"]:
+    """Log-likelihood of recorded contacts of each type; 0 where none is recorded."""
+    sensor = dataclasses.replace(_LABELS, reports_touch=reports_touch)
+    shows = np.array([False, *(sensor.reports(each) for each in edge_types)])
+    of_contact = np.where(shows, 1.0 - sensor.miss, sensor.false_alarm)
+    likelihood = jnp.where(contact[..., None] > 0.5, of_contact, 1.0 - of_contact)
+    return jnp.where(jnp.isfinite(contact)[..., None], jnp.log(likelihood), 0.0)
 
 
 def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
@@ -131,37 +163,6 @@ def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
     types, hold = prior.type_probability, first_where(each.holds for each in prior.edge_types)
     index = jnp.where(types[..., 0] < 0.5, hold, 0)
     return jax.nn.one_hot(index, types.shape[-1], dtype=types.dtype)
-
-
-def likeliest_types(
-    prior: Float[Array, "L E K"],
-    log_ratio: Float[Array, "L E K K"],
-    edge_types: tuple[EdgeType, ...],
-) -> Float[Array, "L E K"]:
-    """One-hot types of every edge in the steps of a window, each by the motion of all the steps.
-
-    One step often leaves open whether a body is held, those around it do not. Forward and backward
-    recursions of a hidden Markov model (Rabiner 1989, section III) whose touches come and go with
-    the geometry and whose other types last.
-    """
-    types = prior.shape[-1]
-    last = np.array([False, *(not each.unilateral for each in edge_types)])
-    begins = prior * jnp.where(last, _CHANGE, 1.0)
-    begins = begins / jnp.sum(begins, axis=-1, keepdims=True)
-    lasts = (1.0 - _CHANGE) * jnp.eye(types) + _CHANGE * prior[..., None, :]
-    change = jnp.where(last[:, None], lasts, begins[..., None, :])
-    pairs = jnp.log(jnp.maximum(change, _LEAST)) + log_ratio
-
-    def forward(before: Array, pair: Array) -> tuple[Array, Array]:
-        after = jax.nn.logsumexp(before[:, :, None] + pair, axis=1)
-        return after, after
-
-    def backward(after: Array, pair: Array) -> tuple[Array, Array]:
-        return jax.nn.logsumexp(pair + after[:, None, :], axis=2), after
-
-    past = jax.lax.scan(forward, jnp.log(jnp.maximum(prior[0], _LEAST)), pairs)[1]
-    future = jax.lax.scan(backward, jnp.zeros_like(prior[0]), pairs, reverse=True)[1]
-    return jax.nn.one_hot(jnp.argmax(past + future, axis=-1), types, dtype=prior.dtype)
 
 
 def encode_evidence(
@@ -188,28 +189,21 @@ def filter_steps(
     model: ContactDynamics,
     graph: EncodedGraph,
     log_ratio: Float[Array, "T E K K"],
-    observed: Bool[Array, " T"],
     report: Float[Array, "T E"] | None = None,
     sensor: ContactSensor | None = None,
 ) -> FilteredSteps:
-    """The beliefs along a trajectory, corrected by its motion in steps that are ``observed``.
+    """The beliefs along a trajectory, corrected by its motion.
 
     Where there is a ``sensor``, so does its ``report``: 1 contact, 0 none, NaN nothing.
     """
 
     def step(belief: ContactBelief, inputs: tuple) -> tuple[ContactBelief, FilteredSteps]:
-        graph, ratio, observed, report = inputs
+        graph, ratio, report = inputs
         predicted, joint = model.predict_joint(belief, graph)
         score = -jax.nn.logsumexp(jnp.log(jnp.maximum(joint, _LEAST)) + ratio, axis=(1, 2))
-        by_motion = posterior_by_motion(predicted, joint, jnp.where(observed, ratio, 0.0))
-        corrected = by_motion if sensor is None else correct(by_motion, report, sensor)
-        after = where_observed(corrected, observed)
+        by_motion = posterior_by_motion(predicted, joint, ratio)
+        after = by_motion if sensor is None else correct(by_motion, report, sensor)
         return after, FilteredSteps(by_motion, after, score)
 
     first = model.prior_belief(jax.tree.map(lambda leaf: leaf[0], graph))
-    return jax.lax.scan(step, first, (graph, log_ratio, observed, report))[1]
-
-
-def where_observed(belief: ContactBelief, observed: Bool[Array, ""]) -> ContactBelief:
-    """The belief about bodies that may have been observed."""
-    return jax.tree.map(lambda one, other: jnp.where(observed, one, other), belief.observed, belief)
+    return jax.lax.scan(step, first, (graph, log_ratio, report))[1]

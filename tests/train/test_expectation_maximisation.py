@@ -1,4 +1,4 @@
-"""Losses of the filter: the score of every step by hand, and which part learns from which."""
+"""Expectation maximisation: what is expected of every step, and which part learns from which."""
 
 from functools import partial
 from pathlib import Path
@@ -11,22 +11,24 @@ import pytest
 from training import CONFIG, Enough, split, window_of
 
 from contactgraph.data import TrajectoryBatch
-from contactgraph.model import HOLD, TOUCH, ContactBelief, ModelConfig, ours
+from contactgraph.model import ContactBelief, ModelConfig, ours
 from contactgraph.train import FitProgress, FitStatus, fit, initial_state
-from contactgraph.train.expectation_maximisation import ExpectationMaximisation, dynamics_loss
-from contactgraph.train.filter_loss import filter_loss, predict_unobserved, random_segments
+from contactgraph.train.expectation_maximisation import (
+    ExpectationMaximisation,
+    dynamics_loss,
+    transition_loss,
+)
 from contactgraph.train.held_out import steps_between
 from contactgraph.train.motion_evidence import (
     encode_evidence,
     filter_steps,
     held_where_near,
-    likeliest_types,
     motion_evidence,
+    smoothed_steps,
 )
 
-DT, LEAST = 0.05, 2e-3
+DT = 0.05
 MODEL = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.key(0))
-KEY = jax.random.key(1)
 
 
 def windows(length: int = 4) -> TrajectoryBatch:
@@ -40,39 +42,22 @@ def windows(length: int = 4) -> TrajectoryBatch:
     return window_of(position, velocity, np.zeros((2, length, 2)))
 
 
-OBSERVED = jnp.array([[True, False, False, True], [False, True, True, False]])
-
-
 @eqx.filter_jit
-def both(model, given, steps=4):
+def classified(model, given, steps=4):
     given = given._replace(steps=jnp.full(2, steps))
-    judged = motion_evidence(model, given)
-
-    def score(model):
-        return filter_loss(model, given, judged, OBSERVED, KEY)
-
-    value, slope = eqx.filter_value_and_grad(score)(model)
-    return value, slope, encode_evidence(model, given, judged), judged.log_ratio
+    evidence = motion_evidence(model, given)
+    loss = eqx.filter_value_and_grad(transition_loss)
+    return *loss(model, given, evidence), encode_evidence(model, given, evidence), evidence
 
 
-def test_the_score_is_the_likelihood_of_the_motion() -> None:
-    value, slope, graph, ratio = both(MODEL, windows())
-    # A fresh filter predicts the geometric prior, with every type at least 0.002 before the cutoff.
-    free = LEAST + (1.0 - 3 * LEAST) * np.asarray(graph.prior)
-    weight = np.asarray(graph.weight)
-    active = free[..., 1:] * weight[..., None]
-    types = np.concatenate([1.0 - active.sum(axis=-1, keepdims=True), active], axis=-1)
-    corrects, before = np.asarray(OBSERVED), np.asarray(graph.prior)[:, 0]
-    score = np.zeros(weight.shape)
-    for step in range(weight.shape[1]):
-        # What a fresh filter predicts does not depend on the types before.
-        joint = before[..., None] * types[:, step, :, None, :]
-        joint *= np.exp(np.asarray(ratio)[:, step])
-        score[:, step] = -np.log(joint.sum(axis=(-2, -1)))
-        after = joint.sum(axis=-2) / joint.sum(axis=(-2, -1))[..., None]
-        before = np.where(corrects[:, step, None, None], after, types[:, step])
-    assert float(value) == pytest.approx(score[weight > 0].mean(), rel=1e-3)
-    assert np.abs(np.asarray(ratio)[0]).max() > 1.0, "the impact says something"
+def test_transitions_learn_to_classify_the_expected_ones_and_nothing_else_learns() -> None:
+    value, slope, graph, evidence = classified(MODEL, windows())
+    transitions = np.asarray(jax.vmap(jax.vmap(MODEL.transitions))(graph))
+    cross = -(np.asarray(evidence.flow) * np.log(np.maximum(transitions, 1e-6))).sum((-3, -2, -1))
+    within = np.asarray(graph.weight) > 0
+    # The odds of fresh transitions are the same at every age, and so cost nothing.
+    assert float(value) == pytest.approx(cross[within].mean(), rel=1e-4)
+    assert np.abs(np.asarray(evidence.log_ratio)[0]).max() > 1.0, "the impact says something"
     others = slope.local_dynamics, slope.features
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(slope.inference)) > 0.0
     assert max(np.abs(leaf).max() for leaf in jax.tree.leaves(others)) == 0.0
@@ -80,10 +65,43 @@ def test_the_score_is_the_likelihood_of_the_motion() -> None:
 
 def test_steps_that_are_padding_do_not_count() -> None:
     given = windows()
-    velocity = given.velocity.at[:, 2:].set(given.velocity[:, :1])  # the impact is in the next step
-    missed = given._replace(velocity=velocity)
-    assert float(both(MODEL, given, 1)[0]) == float(both(MODEL, missed, 1)[0])
-    assert float(both(MODEL, given)[0]) != float(both(MODEL, missed)[0])
+    moved = given._replace(position=given.position.at[1, 3:, 1, 1].add(-0.06))
+    first, second = (float(classified(MODEL, each, 1)[0]) for each in (given, moved))
+    assert first == pytest.approx(second, rel=1e-6)
+    assert float(classified(MODEL, given)[0]) != pytest.approx(
+        float(classified(MODEL, moved)[0]), rel=1e-3
+    )
+
+
+def test_odds_that_jump_from_age_to_age_need_data() -> None:
+    jump = eqx.tree_at(
+        lambda each: each.inference.odds, MODEL, MODEL.inference.odds.at[1, 30:].add(0.3)
+    )
+
+    @eqx.filter_jit
+    def cost(model, share):
+        evidence = motion_evidence(MODEL, windows())
+        return transition_loss(model, windows(), evidence, share)
+
+    of_few, of_many = (float(cost(jump, share) - cost(MODEL, share)) for share in (1.0, 0.1))
+    assert of_few > 5.0 * of_many > 0.0
+
+
+def test_recorded_contacts_tell_types_where_they_are_read() -> None:
+    """A body that rests beside the gripper, which motion leaves open."""
+    still = windows()
+    still = still._replace(position=still.position[:, :1] + 0.0 * still.position)
+    still = still._replace(velocity=0.0 * still.velocity)
+    still = still._replace(position=still.position.at[:, :, 1].set(jnp.array([0.084, 0.0])))
+
+    @eqx.filter_jit
+    def types(contact):
+        given = still if contact is None else still._replace(contact=jnp.full((2, 5, 1), contact))
+        return jnp.sum(motion_evidence(MODEL, given).flow, axis=(-3, -2))[0, -1, 0]
+
+    contact, none, unknown, alone = (types(each) for each in (1.0, 0.0, jnp.nan, None))
+    assert none[0] > 0.9 > 0.1 > contact[0]
+    np.testing.assert_allclose(unknown, alone, atol=1e-6)
 
 
 def test_the_dynamics_learn_from_the_types_of_the_very_step_and_the_inference_does_not() -> None:
@@ -124,12 +142,11 @@ def test_motion_corrects_the_belief_before_a_held_out_window() -> None:
     def corrected(model, given):
         evidence = motion_evidence(model, given)
         graph = encode_evidence(model, given, evidence)
-        observed = jnp.ones(evidence.types.shape[:2], bool)
-        return jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio, observed).after
+        return jax.vmap(partial(filter_steps, model))(graph, evidence.log_ratio).after
 
     found = jax.tree.map(np.asarray, corrected(MODEL, windows()))
     assert found.type_probability.shape == (2, 4, 1, 3)
-    assert found.memory.age.shape == (2, 4, 1, 2)
+    assert found.memory.age.shape == (2, 4, 1, 3, 44)
     assert found.type_probability[0, -1, 0, 0] < 0.5 < found.type_probability[1, -1, 0, 0]
     first = corrected(MODEL, steps_between(windows(), 0, 2))
     np.testing.assert_allclose(found.type_probability[:, :2], first.type_probability, atol=1e-6)
@@ -142,45 +159,6 @@ def test_near_bodies_are_held_until_they_are_judged(types) -> None:
     found = np.asarray(held_where_near(ContactBelief(jnp.asarray(prior))))
     assert list(np.argmax(found, axis=1)) == [min(2, types - 1), 0, 0]
     np.testing.assert_array_equal(found.sum(axis=1), 1.0)
-
-
-def test_observations_come_in_segments() -> None:
-    on = np.asarray(jax.jit(random_segments, static_argnums=1)(KEY, (200, 300)))
-    assert on.mean() == pytest.approx(0.4, abs=0.03)
-    changes = (on[:, 1:] != on[:, :-1]).mean()
-    assert changes == pytest.approx(2 * 0.4 * 0.15, abs=0.01)
-
-
-def test_states_that_are_not_observed_are_predicted() -> None:
-    """A gripper that was seen to run, and stopped in time, is predicted to take the body along."""
-    given = windows(length=6)
-    gripper = jnp.array([-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    body = jnp.zeros((7, 2)).at[:, 0].set(0.135)
-    given = given._replace(
-        position=given.position.at[0, :, 0, 0].set(gripper).at[0, :, 1].set(body),
-        velocity=given.velocity.at[0].set(0.0).at[0, :2, 0, 0].set(1.0),
-    )
-    observed = jnp.array([[True, False, False, False, True, True], [True] * 6])
-
-    @eqx.filter_jit
-    def found(model):
-        judged = motion_evidence(model, given)
-        return judged, predict_unobserved(model, given, judged, observed)
-
-    judged, (window, rolled) = found(MODEL)
-    for name in ("position", "velocity"):
-        recorded, predicted = np.asarray(getattr(given, name)), np.asarray(getattr(window, name))
-        np.testing.assert_array_equal(predicted[1], recorded[1])
-        np.testing.assert_array_equal(predicted[0, [0, 1, 5, 6]], recorded[0, [0, 1, 5, 6]])
-    speed = np.linalg.norm(window.velocity[0, :, 1], axis=-1)
-    assert speed[2:5].max() > 0.2 and speed[[0, 1, 5]].max() == 0.0
-    # Evidence stays that of the recording, where bodies that were apart did not touch.
-    change = np.asarray(rolled.log_ratio - judged.log_ratio)
-    np.testing.assert_array_equal(change[1], 0.0)
-    np.testing.assert_array_equal(change[..., 0], 0.0)
-    begins = np.pad(observed[0], (1, 0), constant_values=True)[:-1]
-    assert (change[0, ~begins, 0, :, 1:] < -1.0).all()
-    np.testing.assert_array_equal(change[0, begins], 0.0)
 
 
 def test_a_filter_is_trained_on_all_pairs(recorded: Path, monkeypatch) -> None:
@@ -208,15 +186,18 @@ def test_a_filter_trains_through_its_checks(recorded: Path) -> None:
 
 
 def test_the_steps_around_it_tell_the_type_of_a_step_that_leaves_it_open() -> None:
-    steps = 8
-    prior = jnp.tile(jnp.array([0.02, 0.49, 0.49]), (steps, 1, 1))
-    held = jnp.array([-6.0, -2.0, 0.0])
-    ratio = jnp.tile(jnp.where(jnp.eye(3, dtype=bool), held, -6.0), (steps, 1, 1, 1))
+    """Bodies side by side, which are held by the motion of all steps but one."""
+    near, steps = windows(8), 8
+    near = near._replace(position=near.position.at[:, :, 1].set(near.position[:, :, 0] + 0.06))
+    held = jnp.where(jnp.eye(3, dtype=bool), jnp.array([-6.0, -2.0, 0.0]), -6.0)
+    ratio = jnp.tile(held, (steps, 1, 1, 1))
     # By itself the fourth step would say free, by a little.
     ratio = ratio.at[3, 0].set(jnp.where(jnp.eye(3, dtype=bool), jnp.array([0.0, -1, -2]), -6.0))
-    likeliest = jax.jit(partial(likeliest_types, edge_types=(TOUCH, HOLD)))
-    types = np.argmax(likeliest(prior, ratio), axis=-1)
-    np.testing.assert_array_equal(types, np.full((steps, 1), 2))
-    # Without evidence geometry decides.
-    apart = jnp.tile(jnp.array([0.98, 0.01, 0.01]), (steps, 1, 1))
-    assert not np.any(np.argmax(likeliest(apart, 0.0 * ratio), axis=-1))
+
+    @eqx.filter_jit
+    def types(ratio):
+        graph = encode_evidence(MODEL, near, motion_evidence(MODEL, near))
+        graph = jax.tree.map(lambda leaf: leaf[0], graph)
+        return jnp.argmax(jnp.sum(smoothed_steps(MODEL, graph, ratio), axis=(-3, -2)), axis=-1)
+
+    np.testing.assert_array_equal(types(ratio), np.full((steps, 1), 2))
