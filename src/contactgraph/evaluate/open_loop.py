@@ -78,6 +78,7 @@ def evaluate_open_loop(
     motion_noise: MotionNoise | None = None,
     baselines: Mapping[str, Baseline] | None = None,
     metrics: Mapping[str, Metric] | None = None,
+    last_window_of: Sequence[int] = (),
 ) -> OpenLoopMetrics:
     """Predicts ``horizon_s`` [s] ahead from every state of every trajectory that is long enough.
 
@@ -94,7 +95,8 @@ def evaluate_open_loop(
     motion corrects the belief, too, and beliefs corrected by motion alone are evaluated besides.
     ``baselines``: predictions beside those without fitting, by name (``least_squares`` and ``gnn``
     are null otherwise). ``metrics``: further metrics by name, each a function of the
-    `OpenLoopDetail`.
+    `OpenLoopDetail`. ``last_window_of``: the episode that each trajectory belongs to, by index, and
+    only the last window of each trajectory is predicted: see `forced_windows`.
 
     Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
@@ -131,15 +133,20 @@ def evaluate_open_loop(
                 _reported(each, faults, index) if known else None,
                 {**_BASELINES, **(baselines or {})},
                 motion_noise,
+                last=bool(last_window_of),
             )
             for index, each in enumerate(dataset)
             if each.steps >= steps
         ]
     )
+    types = [each.scene.node_type for each in dataset]
+    if last_window_of:
+        types = list(dict(zip(last_window_of, types, strict=True)).values())
+        detail = replace(detail, trajectory=np.array(last_window_of))
     errors = error_numbers(detail)
     diverged = ~np.isfinite(detail.measured.squared_error).all(axis=(1, 2))
     found = OpenLoopMetrics(
-        runs=len(dataset),
+        runs=len(types),
         windows=len(detail.start),
         n_steps=steps,
         diverged_windows=int(diverged.sum()),
@@ -157,8 +164,8 @@ def evaluate_open_loop(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),
         detail=detail,
-        by_type=numbers_by_type(detail, [each.scene.node_type for each in dataset]),
-        by_run=errors_by_run(detail, len(dataset)),
+        by_type=numbers_by_type(detail, types),
+        by_run=errors_by_run(detail, len(types)),
     )
     taken = sorted(found.to_json().keys() & (metrics or {}))
     if taken:

@@ -10,7 +10,7 @@ import numpy as np
 from contactgraph.evaluate.calibration import Calibration
 from contactgraph.evaluate.edge_scores import edge_scores
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
-from contactgraph.evaluate.statistics import finite_or_none, number_or_word
+from contactgraph.evaluate.statistics import finite_or_none, moving_errors, number_or_word
 
 ORACLE = "frozen_contact"
 """The baseline that knows masses and contacts; no verdict depends on it."""
@@ -67,7 +67,7 @@ class OpenLoopMetrics:
     def to_json(self) -> dict[str, Any]:
         """All results by name; None for those that are not known or not finite.
 
-        Besides `numbers`, `Calibration.reliability` under the keys ``reliability…``, with the
+        Besides `numbers`, `error_intervals`, and `Calibration.reliability` under the keys ``reliability…``, with the
         endings of `calibration_numbers`.
         """
         numbers = {**self.numbers, **self.extra}
@@ -80,7 +80,16 @@ class OpenLoopMetrics:
         }
         named = {name: getattr(self, name) for name in counts}
         by_run = {"n_step_rmse_moving_by_run_m": list(self.by_run)}
-        return {**finite, **reliability, **self.by_type, **by_run, "verdict": verdict, **named}
+        intervals = error_intervals(self.detail)
+        return {
+            **intervals,
+            **finite,
+            **reliability,
+            **self.by_type,
+            **by_run,
+            "verdict": verdict,
+            **named,
+        }
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
@@ -99,19 +108,39 @@ def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         "_free": None if changes is None else ~changes,
         "_contact": changes,
     }
-    inferred = None if detail.inferred is None else detail.inferred.squared_error
-    squared = {
-        ("n_step", ""): detail.measured.squared_error,
-        **{(name, ""): error for name, error in detail.baselines.items()},
-        ("n_step", "_unmeasured"): detail.unmeasured.squared_error,
-        ("n_step", "_inferred"): inferred,
-    }
     return {
         f"{name}_rmse{subset}{beliefs}_m": None
         if error is None or windows is None
         else detail.rmse(error, windows)
         for subset, windows in chosen.items()
-        for (name, beliefs), error in squared.items()
+        for (name, beliefs), error in _squared_errors(detail).items()
+    }
+
+
+def error_intervals(detail: OpenLoopDetail) -> dict[str, float | list[float | None] | None]:
+    """`moving_errors` of the predictions of `error_numbers` that are known.
+
+    The keys are ``{prediction}_{statistic}_moving{beliefs}_m``.
+    """
+    return {
+        f"{name}_{statistic}_moving{beliefs}_m": value
+        for (name, beliefs), error in _squared_errors(detail).items()
+        if error is not None
+        for statistic, value in moving_errors(
+            np.sum(error.mean(axis=1), axis=1, where=detail.moves),
+            detail.moves.sum(axis=1),
+            detail.trajectory,
+        ).items()
+    }
+
+
+def _squared_errors(detail: OpenLoopDetail) -> dict[tuple[str, str], np.ndarray | None]:
+    """[W, H, N] m^2, by prediction and beliefs."""
+    return {
+        ("n_step", ""): detail.measured.squared_error,
+        **{(name, ""): error for name, error in detail.baselines.items()},
+        ("n_step", "_unmeasured"): detail.unmeasured.squared_error,
+        ("n_step", "_inferred"): None if detail.inferred is None else detail.inferred.squared_error,
     }
 
 

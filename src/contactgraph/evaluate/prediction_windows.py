@@ -45,26 +45,29 @@ def trajectory_detail(
     reported: np.ndarray | None,
     baselines: Mapping[str, Baseline],
     motion_noise: MotionNoise | None = None,
+    last: bool = False,
 ) -> OpenLoopDetail:
     """The windows of trajectory ``index``, which must have at least ``steps`` steps.
 
+    ``last``: of its last window alone; scores of single steps are of the steps in it.
     ``reported``: [T+1, N, N] bool, reports of a contact sensor; None: contacts were not recorded
     in every trajectory. ``baselines`` are compared with the same windows. ``motion_noise``:
     beliefs are also corrected by motion. Arrays are padded to the dataset's largest trajectory,
     so that all share one compiled function.
     """
     trajectory = dataset.trajectories[index]
-    count, starts = trajectory.scene.node_count, trajectory.steps - steps + 1
+    first = trajectory.steps - steps if last else 0
+    count, starts = trajectory.scene.node_count, trajectory.steps - steps + 1 - first
     # At least two nodes, because a graph without edges is not supported.
     capacity = max(2, *(each.scene.node_count for each in dataset))
     longest = max(each.steps for each in dataset)
     turn_length = turn_length_of(lists.given)
     pairs = pair_indices(capacity)
-    recorded = _windows(trajectory.position, steps)
+    recorded = _windows(trajectory.position[first:], steps)
     contact = None
-    touches = np.zeros((trajectory.steps, len(pairs)), dtype=bool)
+    touches = np.zeros((trajectory.steps - first, len(pairs)), dtype=bool)
     if reported is not None:
-        contact = _edge_contacts(trajectory, len(pairs))
+        contact = _edge_contacts(trajectory, len(pairs))[first:]
         touches = contact[1:] & ~contact[:-1]
 
     def error(predicted: np.ndarray) -> np.ndarray:
@@ -81,7 +84,7 @@ def trajectory_detail(
         trajectory.angular_velocity,
     )
     dimension = trajectory.scene.dimension
-    angles, rate = _windows(poses[..., dimension:], steps), rates[..., dimension:]
+    angles, rate = _windows(poses[first:, ..., dimension:], steps), rates[first:, ..., dimension:]
 
     def angle_error(predicted: np.ndarray) -> np.ndarray:
         squared = turn_between(predicted, angles[:, 1:]) ** 2
@@ -98,18 +101,18 @@ def trajectory_detail(
         # A report with faults may deny a contact that is recorded as holding.
         known = replace(trajectory, contact=contacts, holding=None)
         padded = trajectory_for(model, known, capacity, longest)
-        all_starts = jnp.arange(longest - steps + 1)
+        all_starts = first + jnp.arange(1 if last else longest - steps + 1)
         return predict_trajectory(model, padded, all_starts, steps, sensor, noise)
 
     def finite(prediction: TrajectoryPrediction) -> bool:
         return bool(jnp.all(jnp.isfinite(prediction.position[:starts, :, :count])))
 
     def windows(prediction: TrajectoryPrediction) -> WindowPredictions:
-        made = np.asarray(prediction.now_belief)[1 : trajectory.steps + 1] > 0.5
-        coming = np.asarray(prediction.next_belief)[: trajectory.steps]
-        last = np.asarray(prediction.last_belief)[:starts]
+        made = np.asarray(prediction.now_belief)[first + 1 : trajectory.steps + 1] > 0.5
+        coming = np.asarray(prediction.next_belief)[first : trajectory.steps]
+        ahead = np.asarray(prediction.last_belief)[:starts]
         # A body that only the recording brings near enough counts, too: its belief is 0.
-        last = np.where(np.isnan(last) & np.isfinite(coming[steps - 1 :]), 0.0, last)
+        ahead = np.where(np.isnan(ahead) & np.isfinite(coming[steps - 1 :]), 0.0, ahead)
         now = EdgeCounts()
         if contact is not None:
             now = edge_counts(made[None], contact[None, 1:], edge_exists[:1])
@@ -126,16 +129,16 @@ def trajectory_detail(
             touch_on_time=coming[touches] > 0.5,
             now=now,
             next_step=calibrated(coming, 1),
-            last_step=calibrated(last, steps),
+            last_step=calibrated(ahead, steps),
             mass_errors=mass_errors(lists.given, trajectory, prediction.masses),
             pin_gap=largest_pin_gaps(trajectory.scene, position[:starts], turn_length),
         )
 
-    def calibrated(belief: np.ndarray, first: int) -> Calibration:
-        """Of beliefs [S, E] about the steps that lead to state ``first`` and the ones after."""
+    def calibrated(belief: np.ndarray, state: int) -> Calibration:
+        """Of beliefs [S, E] about the steps that lead to the windows' state ``state``, and on."""
         if contact is None:
             return no_calibration()
-        return belief_calibration(np.where(edge_exists[:1], belief, np.nan), contact[first:])
+        return belief_calibration(np.where(edge_exists[:1], belief, np.nan), contact[state:])
 
     def by_lists(contacts: np.ndarray | None) -> WindowPredictions:
         function = lists.reallocate_on_overflow
@@ -157,7 +160,10 @@ def trajectory_detail(
         measured = unmeasured if inferred is None else inferred
     else:
         measured = by_lists(reported) if inferred is None else by_motion(reported)
-    compared = {name: baseline(trajectory, steps) for name, baseline in baselines.items()}
+    compared = {
+        name: None if (found := baseline(trajectory, steps)) is None else found[first:]
+        for name, baseline in baselines.items()
+    }
     drifted = turned_on(
         angles[:, :1], trajectory.scene.dt * elapsed * np.nan_to_num(rate[:starts, None])
     )
@@ -167,7 +173,7 @@ def trajectory_detail(
     return OpenLoopDetail(
         dt=dataset.dt,
         trajectory=np.full(starts, index),
-        start=np.arange(starts),
+        start=np.arange(first, first + starts),
         exists=exists,
         moves=np.pad(moves, ((0, 0), (0, capacity - count))),
         contact=None if contact is None else _windows(contact, steps),
