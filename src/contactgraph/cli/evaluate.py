@@ -78,6 +78,7 @@ class Evaluate:
         from contactgraph.cli.tasks import recorded_task
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import (
+            ForcedWindows,
             evaluate_open_loop,
             forced_windows,
             horizon_steps,
@@ -94,23 +95,21 @@ class Evaluate:
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         noise = motion_evidence(model, self.infer_contacts, self.ignore_motion)
         steps = horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
-        tested, episodes = dataset, ()
+        windows = ForcedWindows(dataset)
         if self.forced:
-            windows = forced_windows(
-                dataset, partial(recorded_task, dataset), steps, self.forced_every
-            )
-            tested, episodes = windows.dataset, windows.episode
+            task_of = partial(recorded_task, dataset)
+            windows = forced_windows(dataset, task_of, steps, self.forced_every)
         fitted = None
         if self.baselines is not None:
             fitted = self._fitted(self.baselines, model, dataset)
         metrics = evaluate_open_loop(
             model,
-            tested,
+            windows.dataset,
             horizon_s=self.horizon,
             faults=faults,
             motion_noise=noise,
             baselines={} if fitted is None else fitted.predictions,
-            last_window_of=episodes,
+            last_window_of=windows.episode,
         )
         growth = None
         if self.growth_steps is not None:

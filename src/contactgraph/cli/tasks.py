@@ -107,7 +107,7 @@ def recorded_task(dataset: Dataset, trajectory: Trajectory) -> Task:
     name, engine = str(metadata.get("task")), str(metadata.get("simulator")).partition(" ")[0]
     if engine not in ENGINES or "seed" not in trajectory.scene.metadata:
         raise InvalidInputError(
-            "only episodes of planar tasks with a seed, recorded by collect, can be replayed; "
+            "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
             f"found task {name}, simulator {metadata.get('simulator')}"
         )
     parameters = inspect.signature(known_task(name).make).parameters

@@ -93,12 +93,12 @@ def _drawn(
 
 @dataclass(frozen=True, eq=False)
 class ForcedWindows:
-    """The forced windows of all episodes of a dataset."""
+    """Windows of a dataset, for `evaluate_open_loop`."""
 
     dataset: Dataset
     """A trajectory for each window, which is its end."""
-    episode: tuple[int, ...]
-    """Index of the episode that each of them begins with."""
+    episode: tuple[int, ...] = ()
+    """Index of the episode that each of them begins with; none: all recorded windows."""
 
 
 def forced_windows(

@@ -67,8 +67,8 @@ class OpenLoopMetrics:
     def to_json(self) -> dict[str, Any]:
         """All results by name; None for those that are not known or not finite.
 
-        Besides `numbers`, `error_intervals`, and `Calibration.reliability` under the keys ``reliability…``, with the
-        endings of `calibration_numbers`.
+        Besides `numbers`, `error_intervals`, and under the keys ``reliability…``, with the endings
+        of `calibration_numbers`, `Calibration.reliability`.
         """
         numbers = {**self.numbers, **self.extra}
         finite = {name: finite_or_none(value) for name, value in numbers.items()}
@@ -80,16 +80,8 @@ class OpenLoopMetrics:
         }
         named = {name: getattr(self, name) for name in counts}
         by_run = {"n_step_rmse_moving_by_run_m": list(self.by_run)}
-        intervals = error_intervals(self.detail)
-        return {
-            **intervals,
-            **finite,
-            **reliability,
-            **self.by_type,
-            **by_run,
-            "verdict": verdict,
-            **named,
-        }
+        found = {**error_intervals(self.detail), **finite, **reliability, **self.by_type}
+        return {**found, **by_run, "verdict": verdict, **named}
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
