@@ -101,24 +101,22 @@ class ForcedWindows:
     """Index of the episode that each of them begins with; none: all recorded windows."""
 
 
+def controls_of(episode: int) -> np.random.Generator:
+    """Draws the controls of the forced windows of an episode, by its index in the dataset."""
+    return np.random.default_rng([0, episode])
+
+
 def forced_windows(
-    dataset: Dataset,
-    task_of: Callable[[Trajectory], Task],
-    steps: int,
-    every: int = EVERY,
-    seed: int = 0,
+    dataset: Dataset, task_of: Callable[[Trajectory], Task], steps: int, every: int = EVERY
 ) -> ForcedWindows:
     """Windows of ``steps`` steps from every ``every``-th state of every episode: see `branches`.
 
-    ``task_of`` makes the task of an episode; ``seed`` draws the controls. Raises
-    `InvalidInputError` as `branches`.
+    ``task_of`` makes the task of an episode. Raises `InvalidInputError` as `branches`.
     """
     windows = [
         (index, branch.trajectory(steps))
         for index, each in enumerate(dataset)
-        for branch in branches(
-            task_of(each), each, steps, np.random.default_rng([seed, index]), every
-        )
+        for branch in branches(task_of(each), each, steps, controls_of(index), every)
     ]
     episode, trajectories = zip(*windows, strict=True)
     return ForcedWindows(replace(dataset, trajectories=trajectories), episode)
