@@ -31,31 +31,29 @@ DRAWS = 2000
 def moving_errors(
     squared: np.ndarray, bodies: np.ndarray, episode: np.ndarray
 ) -> dict[str, float | list[float | None] | None]:
-    """Statistics, m, of position errors over the bodies that move in windows.
+    """Statistics, m, of position errors over the bodies that move in windows; none if none does.
 
     ``squared``: [W] m^2, mean over a window's steps, summed over its bodies that move, of which
     there are ``bodies`` [W]. ``rmse`` is their root mean square, ``mean`` the mean of the root mean
     squares of single windows, which few large errors cannot decide. ``…_interval``: the 95 %
     between percentiles of 2,000 draws of episodes, with replacement (Efron 1979); ``episode`` [W]
-    is a window's. None: nothing moves, or the errors are not finite.
+    is a window's. None: an error is not finite.
     """
     moves = bodies > 0
-    single = np.sqrt(np.divide(squared, bodies, out=np.zeros_like(squared), where=moves))
-    member = episode[moves] == np.unique(episode)[:, None]
-    rows = np.stack([squared, bodies, single, moves])[:, moves]
-    sums = np.sum(np.broadcast_to(rows[:, None], (4, *member.shape)), axis=2, where=member)
-    count = len(member)
-    draws = np.random.default_rng(0).integers(count, size=(DRAWS, count))
-    drawn = np.concatenate([sums.sum(axis=1)[:, None], sums[:, draws].sum(axis=2)], axis=1)
-    with np.errstate(invalid="ignore"):  # no body moves in the episodes of a draw
-        values = {"rmse": np.sqrt(drawn[0] / drawn[1]), "mean": drawn[2] / drawn[3]}
-        ends = {
-            f"{name}_interval": np.nanquantile(each[1:], (0.025, 0.975), method="inverted_cdf")
-            for name, each in values.items()
-        }
-    return {name: finite_or_none(float(each[0])) for name, each in values.items()} | {
-        name: [finite_or_none(end) for end in each.tolist()] for name, each in ends.items()
-    }
+    if not moves.any():
+        return {}
+    squared, bodies, episode = squared[moves], bodies[moves], episode[moves]
+    rows = np.stack([squared, bodies, np.sqrt(squared / bodies), moves[moves]])
+    sums = np.stack([rows[:, episode == each].sum(axis=1) for each in np.unique(episode)])
+    draws = np.random.default_rng(0).integers(len(sums), size=(DRAWS, len(sums)))
+    drawn = np.concatenate([sums.sum(axis=0)[None], sums[draws].sum(axis=1)])
+    found: dict[str, float | list[float | None] | None] = {}
+    values = {"rmse": np.sqrt(drawn[:, 0] / drawn[:, 1]), "mean": drawn[:, 2] / drawn[:, 3]}
+    for name, each in values.items():
+        ends = np.quantile(each[1:], (0.025, 0.975), method="inverted_cdf")
+        found[name] = finite_or_none(float(each[0]))
+        found[f"{name}_interval"] = [finite_or_none(end) for end in ends.tolist()]
+    return found
 
 
 def finite_or_none(value: float | None) -> float | None:
