@@ -30,8 +30,8 @@ from contactgraph.envs.grip import HIDDEN_OFF, HIDDEN_ON, HOLD_TIME, BreakingHol
 from contactgraph.envs.gripper_task import DT, GRIPPER
 from contactgraph.envs.hidden_contact import HOLD_SHARE
 from contactgraph.envs.planar.world import PlanarWorld
-from contactgraph.evaluate import Branch, branches, horizon_steps
-from contactgraph.evaluate.forced import EVERY, controls_of
+from contactgraph.evaluate import horizon_steps
+from contactgraph.evaluate.forced import EVERY, Branch, branches, controls_of
 from contactgraph.evaluate.statistics import moving_errors
 
 SUBSTEPS = 10

@@ -19,7 +19,8 @@ from contactgraph.envs import (
     SuctionExpert,
     SuctionTask,
 )
-from contactgraph.evaluate import branches, evaluate_open_loop, forced_windows, run_episode
+from contactgraph.evaluate import evaluate_open_loop, forced_windows, run_episode
+from contactgraph.evaluate.forced import branches
 from contactgraph.evaluate.statistics import moving_errors
 
 STEPS = 10

@@ -1,6 +1,8 @@
-"""Confidence intervals of measured shares and errors, and numbers for JSON."""
+"""Sums, confidence intervals of measured shares and errors, and numbers for JSON."""
 
 import math
+from dataclasses import fields
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,8 +22,21 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tu
     if not 0 <= successes <= trials:
         raise InvalidInputError(f"successes must be 0 to {trials}, found {successes}")
     result = binomtest(int(successes), int(trials))
-    interval = result.proportion_ci(_checked(confidence), method="wilson")
+    if not 0.0 < confidence < 1.0:
+        raise InvalidInputError(f"confidence must lie between 0 and 1, found {confidence}")
+    interval = result.proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
+
+
+class Sums:
+    """Base of a dataclass whose fields add up over trajectories; None where one is not known."""
+
+    def __add__(self, other: Self) -> Self:
+        found: Any = self
+        pairs = ((getattr(each, field.name) for each in (self, other)) for field in fields(found))
+        return type(self)(
+            *(None if one is None or more is None else one + more for one, more in pairs)
+        )
 
 
 DRAWS = 2000
@@ -66,9 +81,3 @@ def number_or_word(value: float | None) -> float | str | None:
     if value is None or math.isnan(value):
         return None
     return value if math.isfinite(value) else "infinite"
-
-
-def _checked(confidence: float) -> float:
-    if not 0.0 < confidence < 1.0:
-        raise InvalidInputError(f"confidence must lie between 0 and 1, found {confidence}")
-    return confidence
