@@ -20,7 +20,7 @@ from contactgraph.cli.options import (
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
-    from contactgraph.evaluate.fitted_baselines import FittedBaselines
+    from contactgraph.evaluate.network_fit import FittedBaselines
     from contactgraph.model import ContactDynamics
 
 
@@ -152,7 +152,7 @@ class Evaluate:
         """The baselines fitted to a dataset file, the network for as long as the model."""
         from contactgraph.cli.models import in_steps_of, model_path
         from contactgraph.data import read_trajectories
-        from contactgraph.evaluate.fitted_baselines import fit_baselines
+        from contactgraph.evaluate.network_fit import fit_baselines
         from contactgraph.model.io import describe_model
 
         train = in_steps_of(model, read_trajectories(path), str(path))
