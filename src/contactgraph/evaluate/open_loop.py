@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory, with_edge_labels
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Trajectory,
+    strip_contacts,
+    with_edge_labels,
+)
 from contactgraph.data.dataset import near_origin
 from contactgraph.evaluate.baselines import (
     Baseline,
@@ -15,8 +21,6 @@ from contactgraph.evaluate.baselines import (
     fixed_contact_oracle,
     standing_still,
 )
-from contactgraph.evaluate.calibration import Calibration
-from contactgraph.evaluate.edge_scores import EdgeCounts
 from contactgraph.evaluate.mass_scores import mass_numbers
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail, WindowPredictions
 from contactgraph.evaluate.open_loop_metrics import (
@@ -35,6 +39,7 @@ from contactgraph.evaluate.open_loop_metrics import (
 )
 from contactgraph.evaluate.prediction_windows import trajectory_detail
 from contactgraph.evaluate.sensor_faults import SensorFaults
+from contactgraph.evaluate.statistics import Sums
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
     ContactSensor,
@@ -114,13 +119,14 @@ def evaluate_open_loop(
         sensor = default_sensor(model) if faults.exact else faults.sensor
     sensor = replace(sensor, reports_touch=labelled is dataset)
     dataset = near_origin(labelled)
-    known = all(each.contact is not None for each in dataset)
-    if not (known or faults.exact):
-        lacking = sum(each.contact is None for each in dataset)
+    lacking = sum(each.contact is None for each in dataset)
+    if lacking and not faults.exact:
         raise InvalidInputError(
             f"faults spoil measured contacts, but {lacking} of {len(dataset)} trajectories have no "
             f"contact field; it must be in every trajectory"
         )
+    if lacking:
+        dataset = strip_contacts(dataset)
     lists = ReallocatingModel(model, dataset)
     detail = _concatenated(
         [
@@ -130,7 +136,7 @@ def evaluate_open_loop(
                 index,
                 steps,
                 sensor,
-                _reported(each, faults, index) if known else None,
+                faults,
                 {**_BASELINES, **(baselines or {})},
                 motion_noise,
                 last=bool(last_window_of),
@@ -190,12 +196,6 @@ def horizon_steps(dataset: Dataset, horizon_s: float | None) -> int:
     return steps
 
 
-def _reported(trajectory: Trajectory, faults: SensorFaults, index: int) -> np.ndarray | None:
-    if trajectory.contact is None:
-        return None
-    return faults.reported(trajectory.contact, trajectory.scene, index)
-
-
 def _concatenated(parts: Sequence[Any]) -> Any:
     """Arrays one after the other, counts added, field by field; None where any part has None."""
     first = parts[0]
@@ -203,9 +203,7 @@ def _concatenated(parts: Sequence[Any]) -> Any:
         return None
     if isinstance(first, np.ndarray):
         return np.concatenate(parts)
-    if isinstance(first, EdgeCounts):
-        return sum(parts, EdgeCounts())
-    if isinstance(first, Calibration):
+    if isinstance(first, Sums):
         return sum(parts[1:], first)
     if isinstance(first, dict):
         return {name: _concatenated([each[name] for each in parts]) for name in first}

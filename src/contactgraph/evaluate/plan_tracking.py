@@ -92,16 +92,15 @@ class PlanTrackingError(Sums):
     def to_json(self) -> dict[str, float | int | list[float | str | None] | None]:
         """All numbers by name; None for those that are not known or not finite; in the list
         ``infinite`` for the latter."""
-        fixed, edges = self.fixed_contact, self.edges
         numbers = {
             "n_step_rmse_planned_moving_m": self.rmse_moving,
             "n_step_rmse_planned_m": self.rmse,
             "constant_velocity_planned_rmse_m": self.constant_velocity.rmse,
-            "frozen_contact_planned_rmse_m": None if fixed is None else fixed.rmse,
-            "edge_precision_planned": None if edges is None else edges.precision,
-            "edge_recall_planned": None if edges is None else edges.recall,
-            "edge_f1_planned": None if edges is None else edges.f1,
-            "edge_accuracy_planned": None if edges is None else edges.accuracy,
+            "frozen_contact_planned_rmse_m": getattr(self.fixed_contact, "rmse", None),
+            **{
+                f"edge_{score}_planned": getattr(self.edges, score, None)
+                for score in ("precision", "recall", "f1", "accuracy")
+            },
         }
         return {
             "planned_windows": self.windows,

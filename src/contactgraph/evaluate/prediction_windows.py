@@ -14,7 +14,7 @@ from contactgraph.data import (
     pair_indices,
 )
 from contactgraph.data.turns import turn_between, turned_on
-from contactgraph.evaluate.baselines import Baseline
+from contactgraph.evaluate.baselines import Baseline, sliding_windows
 from contactgraph.evaluate.calibration import Calibration, belief_calibration
 from contactgraph.evaluate.edge_scores import edge_counts
 from contactgraph.evaluate.mass_scores import mass_errors
@@ -24,6 +24,7 @@ from contactgraph.evaluate.open_loop_detail import (
     OpenLoopDetail,
     WindowPredictions,
 )
+from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.evaluate.trajectory_prediction import (
     TrajectoryPrediction,
     largest_pin_gaps,
@@ -41,7 +42,7 @@ def trajectory_detail(
     index: int,
     steps: int,
     sensor: ContactSensor,
-    reported: np.ndarray | None,
+    faults: SensorFaults,
     baselines: Mapping[str, Baseline],
     motion_noise: MotionNoise | None = None,
     last: bool = False,
@@ -49,10 +50,9 @@ def trajectory_detail(
     """The windows of trajectory ``index``, which must have at least ``steps`` steps.
 
     ``last``: of its last window alone; scores of single steps are of the steps in it.
-    ``reported``: [T+1, N, N] bool, reports of a contact sensor; None: contacts were not recorded
-    in every trajectory. ``baselines`` are compared with the same windows. ``motion_noise``:
-    beliefs are also corrected by motion. Arrays are padded to the dataset's largest trajectory,
-    so that all share one compiled function.
+    ``faults`` corrupts its contacts, where they are recorded. ``baselines`` are compared with the
+    same windows. ``motion_noise``: beliefs are also corrected by motion. Arrays are padded to the
+    dataset's largest trajectory, so that all share one compiled function.
     """
     trajectory, longest = dataset.trajectories[index], max(each.steps for each in dataset)
     scene, turn_length = trajectory.scene, turn_length_of(lists.given)
@@ -66,7 +66,7 @@ def trajectory_detail(
         """[..., N] for the capacity."""
         return np.pad(of_nodes, [(0, 0)] * (of_nodes.ndim - 1) + [(0, capacity - count)])
 
-    recorded = _windows(trajectory.position[first:], steps)
+    recorded = sliding_windows(trajectory.position[first:], steps + 1)
     poses, rates = generalized_coordinates(
         1.0,
         trajectory.position,
@@ -74,7 +74,7 @@ def trajectory_detail(
         trajectory.orientation,
         trajectory.angular_velocity,
     )
-    angles = _windows(poses[first:, ..., dimension:], steps)
+    angles = sliding_windows(poses[first:, ..., dimension:], steps + 1)
     rate = rates[first : first + starts, None, ..., dimension:]
     one, other = pair_indices(capacity).T
     exists = np.broadcast_to(np.arange(capacity) < count, (starts, capacity))
@@ -82,10 +82,9 @@ def trajectory_detail(
     # What pins join need not be inferred.
     edge_exists[:, edge_id(*np.sort(scene.pins, axis=1).T)] = False
     contact = np.zeros((trajectory.steps + 1 - first, len(one)), dtype=bool)
-    labelled = edge_exists[:1] & (reported is not None)
-    if reported is not None:
-        assert trajectory.contact is not None
-        own = pair_indices(count)
+    reported, labelled = None, edge_exists[:1] & (trajectory.contact is not None)
+    if trajectory.contact is not None:
+        reported, own = faults.reported(trajectory.contact, scene, index), pair_indices(count)
         contact[:, : len(own)] = trajectory.contact[first:, own[:, 0], own[:, 1]]
     touches = contact[1:] & ~contact[:-1]
 
@@ -165,7 +164,7 @@ def trajectory_detail(
         start=np.arange(first, first + starts),
         exists=exists,
         moves=padded(moving_bodies(recorded) & ~scene.static),
-        contact=None if reported is None else _windows(contact, steps),
+        contact=None if reported is None else sliding_windows(contact, steps + 1),
         edge_exists=edge_exists,
         measured=measured,
         unmeasured=unmeasured,
@@ -181,9 +180,3 @@ def trajectory_detail(
             for name, turn in turns.items()
         },
     )
-
-
-def _windows(per_state: np.ndarray, steps: int) -> np.ndarray:
-    """[S, H+1, …], a view of [T+1, …]."""
-    view = np.lib.stride_tricks.sliding_window_view(per_state, steps + 1, axis=0)
-    return np.moveaxis(view, -1, 1)
