@@ -253,6 +253,16 @@ def test_data_that_cannot_be_replayed(mistake, fresh: Path, tmp_path: Path) -> N
             "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
             "found task toss, simulator mujoco 3.6.0",
         ),
+        (
+            "class.h5",
+            dataclasses.replace(
+                first,
+                scene=dataclasses.replace(
+                    first.scene, metadata={**first.scene.metadata, "task": "os:system"}
+                ),
+            ),
+            "found task os:system, simulator " + str(first.scene.metadata["simulator"]),
+        ),
         ("moved.h5", moved, "differs from the recording: position in state 0 of 200"),
     ):
         path = tmp_path / name

@@ -101,18 +101,23 @@ def make(task: str, **options: Any) -> Task:
 def recorded_task(dataset: Dataset, trajectory: Trajectory) -> Task:
     """The task of an episode in a dataset, with the options and the engine of its metadata.
 
-    Raises `InvalidInputError` where these name no planar task and seed.
+    Raises `InvalidInputError` where these name no planar task, or no seed. A file does not get to
+    import a class: it names tasks only.
     """
     metadata = {**dataset.metadata, **trajectory.scene.metadata}
     name, engine = str(metadata.get("task")), str(metadata.get("simulator")).partition(" ")[0]
-    if engine not in ENGINES or "seed" not in trajectory.scene.metadata:
+    seeded = isinstance(trajectory.scene.metadata.get("seed"), int)
+    if engine not in ENGINES or name not in task_names() or not seeded:
         raise InvalidInputError(
             "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
             f"found task {name}, simulator {metadata.get('simulator')}"
         )
     parameters = inspect.signature(known_task(name).make).parameters
     options = {each: value for each, value in metadata.items() if each in parameters}
-    return make(name, **{**options, "engine": engine})
+    try:
+        return make(name, **{**options, "engine": engine})
+    except TypeError as error:
+        raise InvalidInputError(f"the metadata do not describe a task {name}: {error}") from error
 
 
 def mixed_factories(name: str, options: Mapping[str, Any]) -> list[TaskFactory]:
