@@ -160,23 +160,23 @@ def test_bodies_that_turn_have_angles_whatever_the_number_of_turns() -> None:
 def test_it_learns_a_spring_between_two_bodies(fitted):
     fresh = attraction(99)
     truth = np.stack([fresh.position[start + 1 : start + 7] for start in range(25)])
+    least_squares, network = fitted
     error, exact, floor = (
         np.sqrt(np.mean((each(fresh, 6) - truth) ** 2))
-        for each in (fitted.network, fitted.least_squares, constant_velocity)
+        for each in (network, least_squares, constant_velocity)
     )
     assert error < 0.4 * floor and exact < 1e-3 * floor
 
 
 def test_the_effort_of_training_and_the_reason_of_a_null_are_told(fitted):
-    assert fitted.to_json() == {
-        "gnn_training_s": 3.0,
-        "gnn_training_steps": 150,
-        "least_squares_missing": "no scene of the training data has 3 nodes, as the test data "
-        "has; they have 2",
-    }
+    least_squares, network = fitted
     three = random_run(3, 8, 0)
-    assert fitted.predictions["least_squares"](three, 2) is None
-    assert fitted.predictions["gnn"](three, 2).shape == (7, 2, 3, 2)
+    assert (network.seconds, network.steps) == (3.0, 150)
+    assert least_squares.missing([three]) == (
+        "no scene of the training data has 3 nodes, as the test data has; they have 2"
+    )
+    assert least_squares(three, 2) is None
+    assert network(three, 2).shape == (7, 2, 3, 2)
 
 
 def test_baselines_are_fitted_to_data_of_the_same_kind_only():

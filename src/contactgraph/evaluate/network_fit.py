@@ -4,7 +4,7 @@ The network is trained for a given time, on rollouts of recorded windows.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -24,7 +24,6 @@ from contactgraph.data import (
     split_by_trajectory,
 )
 from contactgraph.data.turns import generalized_coordinates
-from contactgraph.evaluate.baselines import Baseline
 from contactgraph.evaluate.interaction_network import InputScales, InteractionNetwork
 from contactgraph.evaluate.least_squares import LeastSquares, fit_least_squares
 from contactgraph.identify import scene_facts
@@ -227,33 +226,10 @@ def _errors(
     return loss, jnp.sqrt(jnp.mean(off, where=counted))
 
 
-@dataclass(frozen=True)
-class FittedBaselines:
-    """Both baselines, for `evaluate_open_loop`."""
-
-    least_squares: LeastSquares
-    network: FittedNetwork
-    least_squares_missing: str | None
-    """The reason why least squares cannot predict the test data; None if it can."""
-
-    @property
-    def predictions(self) -> Mapping[str, Baseline]:
-        """The baselines by the names of their JSON keys."""
-        return {"least_squares": self.least_squares, "gnn": self.network}
-
-    def to_json(self) -> dict[str, float | int | str | None]:
-        """The effort of training, and the reason for numbers that are null."""
-        return {
-            "gnn_training_s": round(self.network.seconds, 1),
-            "gnn_training_steps": self.network.steps,
-            "least_squares_missing": self.least_squares_missing,
-        }
-
-
 def fit_baselines(
     train: Dataset, test: Dataset, seconds: float, least_steps: int
-) -> FittedBaselines:
-    """Fit to ``train``, the network for ``seconds`` and ``least_steps`` of its optimiser.
+) -> tuple[LeastSquares, FittedNetwork]:
+    """Both fitted to ``train``, the network for ``seconds`` and ``least_steps`` of its optimiser.
 
     Raises `InvalidInputError` where the two datasets differ in dimension, control size or time
     step, or where ``train`` has fewer than two trajectories.
@@ -265,9 +241,4 @@ def fit_baselines(
                 f"training data of baselines must have the {name} of the test data, {wanted:g}, "
                 f"found {found:g}"
             )
-    least_squares = fit_least_squares(train)
-    return FittedBaselines(
-        least_squares=least_squares,
-        network=fit_interaction_network(train, seconds, least_steps),
-        least_squares_missing=least_squares.missing(test),
-    )
+    return fit_least_squares(train), fit_interaction_network(train, seconds, least_steps)
