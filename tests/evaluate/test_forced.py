@@ -52,10 +52,10 @@ def test_a_branch_under_the_recorded_controls_is_the_recording(task, expert):
 def test_a_forced_window_follows_the_recording_and_its_control():
     task, seeds = SuctionTask(engine="box2d"), (3, 4)
     recorded = Dataset(tuple(run_episode(task, SuctionExpert(), seed) for seed in seeds))
-    windows = forced_windows(recorded, lambda _: task, STEPS, every=60)
-    assert windows.episode == (0,) * 4 + (1,) * 4
+    windows, episode = forced_windows(recorded, lambda _: task, STEPS, every=60)
+    assert episode == (0,) * 4 + (1,) * 4
     controls = []
-    for index, each in enumerate(windows.dataset):
+    for index, each in enumerate(windows):
         start, own = 60 * (index % 4), recorded.trajectories[index // 4]
         assert each.steps == start + STEPS
         for name in ("position", "velocity", "contact", "holding"):
@@ -67,10 +67,10 @@ def test_a_forced_window_follows_the_recording_and_its_control():
     force, switched = np.split(np.array(controls), [2], axis=1)
     assert np.all((np.hypot(*force.T) >= 0.5) & (np.hypot(*force.T) <= 3.0))
     assert set(switched.ravel().tolist()) == {0.0, 1.0}
-    again = forced_windows(recorded, lambda _: task, STEPS, every=60)
+    again, _ = forced_windows(recorded, lambda _: task, STEPS, every=60)
     assert all(
         np.array_equal(one.position, other.position)
-        for one, other in zip(windows.dataset, again.dataset, strict=True)
+        for one, other in zip(windows, again, strict=True)
     )
 
 

@@ -78,7 +78,6 @@ class Evaluate:
         from contactgraph.cli.tasks import recorded_task
         from contactgraph.data import read_trajectories, with_edge_labels
         from contactgraph.evaluate import (
-            ForcedWindows,
             evaluate_open_loop,
             forced_windows,
             horizon_steps,
@@ -95,19 +94,19 @@ class Evaluate:
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         noise = motion_evidence(model, self.infer_contacts, self.ignore_motion)
         steps = horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
-        windows = ForcedWindows(dataset)
+        tested, episodes = dataset, tuple[int, ...]()
         if self.forced:
             task_of = partial(recorded_task, dataset)
-            windows = forced_windows(dataset, task_of, steps, self.forced_every)
+            tested, episodes = forced_windows(dataset, task_of, steps, self.forced_every)
         baselines, effort = self._fitted(model, dataset)
         metrics = evaluate_open_loop(
             model,
-            windows.dataset,
+            tested,
             horizon_s=self.horizon,
             faults=faults,
             motion_noise=noise,
             baselines=baselines,
-            last_window_of=windows.episode,
+            last_window_of=episodes,
         )
         growth = None
         if self.growth_steps is not None:

@@ -91,16 +91,6 @@ def _drawn(
     return np.clip(np.where(force, strength * direction, switched), bounds.low, bounds.high)
 
 
-@dataclass(frozen=True, eq=False)
-class ForcedWindows:
-    """Windows of a dataset, for `evaluate_open_loop`."""
-
-    dataset: Dataset
-    """A trajectory for each window, which is its end."""
-    episode: tuple[int, ...] = ()
-    """Index of the episode that each of them begins with; none: all recorded windows."""
-
-
 def controls_of(episode: int) -> np.random.Generator:
     """Draws the controls of the forced windows of an episode, by its index in the dataset."""
     return np.random.default_rng([0, episode])
@@ -108,10 +98,11 @@ def controls_of(episode: int) -> np.random.Generator:
 
 def forced_windows(
     dataset: Dataset, task_of: Callable[[Trajectory], Task], steps: int, every: int = EVERY
-) -> ForcedWindows:
-    """Windows of ``steps`` steps from every ``every``-th state of every episode: see `branches`.
+) -> tuple[Dataset, tuple[int, ...]]:
+    """A trajectory for each forced window, which is its end, and the index of its episode.
 
-    ``task_of`` makes the task of an episode. Raises `InvalidInputError` as `branches`.
+    The windows have ``steps`` steps, from every ``every``-th state of every episode on: see
+    `branches`. ``task_of`` makes the task of an episode. Raises `InvalidInputError` as `branches`.
     """
     windows = [
         (index, branch.trajectory(steps))
@@ -119,4 +110,4 @@ def forced_windows(
         for branch in branches(task_of(each), each, steps, controls_of(index), every)
     ]
     episode, trajectories = zip(*windows, strict=True)
-    return ForcedWindows(replace(dataset, trajectories=trajectories), episode)
+    return replace(dataset, trajectories=trajectories), episode

@@ -37,6 +37,7 @@ from contactgraph.train.batch import (
     window_source,
 )
 
+_OPTIMISER = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
 _CHUNK = 50
 """Optimiser steps a call; the time is looked at in between."""
 _BATCH = 32
@@ -166,7 +167,7 @@ def fit_interaction_network(
     scales = input_scales(dataset)
     network = InteractionNetwork(dataset.dimension, types, scales, jax.random.key(seed))
     params, static = eqx.partition(network, eqx.is_inexact_array)
-    optimiser = _optimiser().init(params)
+    optimiser = _OPTIMISER.init(params)
     best, best_error, steps, spent, done = params, np.inf, 0, 0.0, 0.0
     while done < 1.0:
         rate = _RATE * 0.5 * (1.0 + np.cos(np.pi * done))
@@ -178,10 +179,6 @@ def fit_interaction_network(
         steps, spent = steps + _CHUNK, clock() - began
         done = min(spent / seconds, steps / least_steps)
     return FittedNetwork(eqx.combine(best, static), spent, steps)
-
-
-def _optimiser() -> optax.GradientTransformation:
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
 
 
 @eqx.filter_jit
@@ -201,7 +198,7 @@ def _advance(
         key = jax.random.fold_in(jax.random.key(0), number)
         drawn = windows.draw(_BATCH, key)
         gradient = jax.grad(lambda params: _errors(eqx.combine(params, static), drawn)[0])(params)
-        updates, state = _optimiser().update(gradient, state)
+        updates, state = _OPTIMISER.update(gradient, state)
         updates = jax.tree.map(lambda leaf: -rate * leaf, updates)
         return (optax.apply_updates(params, updates), state), None
 
