@@ -217,25 +217,21 @@ def _squared_errors(
     return float(moves.sum()), one, max(other, 0.0)
 
 
-@dataclass(frozen=True)
-class BayesBound:
-    """Measure the least error of predictions on forced windows of a dataset with a hidden hold."""
+def main(
+    data: Positional[Path], json: Path | None = None, every: int = EVERY, samples: int = SAMPLES
+) -> None:
+    """Measure the least error of predictions on forced windows of a dataset with a hidden hold.
 
-    data: Positional[Path]
-    """A dataset file (HDF5) of suction --hidden-switch, release, delay or sticky."""
-    json: Path | None = None
-    """Write the numbers to this file."""
-    every: int = EVERY
-    """States from one window to the next."""
-    samples: int = SAMPLES
-    """Simulations of a window, of whose mean the error is measured."""
-
-    def run(self) -> None:
-        """Measure, print and write."""
-        found = bayes_bound(read_trajectories(self.data), self.every, self.samples)
-        write_json(self.json, {"data": str(self.data), **found})
-        print("\n".join(f"{name}: {value}" for name, value in found.items()))
+    Args:
+        data: A dataset file (HDF5) of suction --hidden-switch, release, delay or sticky.
+        json: Write the numbers to this file.
+        every: States from one window to the next.
+        samples: Simulations of a window, of whose mean the error is measured.
+    """
+    found = bayes_bound(read_trajectories(data), every, samples)
+    write_json(json, {"data": str(data), **found})
+    print("\n".join(f"{name}: {value}" for name, value in found.items()))
 
 
 if __name__ == "__main__":
-    tyro.cli(BayesBound).run()
+    tyro.cli(main)
