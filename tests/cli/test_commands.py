@@ -231,7 +231,7 @@ def test_evaluate_under_forced_controls(
     path = tmp_path / "result.json"
     done("evaluate", "pickup", fresh, "--forced", "--forced-every", 60, "--json", path)
     title, table, *_ = capsys.readouterr().out.splitlines()
-    assert title == ("8 windows under random constant forces, from every 60th state of 2 episodes")
+    assert title == ("8 windows under random constant forces, one every 60 states of 2 episodes")
     assert table.startswith("error over 10 steps ")
     values = json.loads(path.read_text())
     assert values.keys() >= OPEN_LOOP | {"n_step_mean_moving_inferred_m"}

@@ -212,8 +212,8 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
 
     if values["forced_every"] is not None:
         print(
-            f"{values['windows']} windows under random constant forces, from every "
-            f"{values['forced_every']}th state of {values['episodes']} episodes"
+            f"{values['windows']} windows under random constant forces, one every "
+            f"{values['forced_every']} states of {values['episodes']} episodes"
         )
     title = f"error over {values['n_steps']} steps"
     print(f"{title:<23}{'bodies that move':>16}  {'all bodies':>16}")
