@@ -178,7 +178,7 @@ def bayes_bound(dataset: Dataset, every: int = EVERY, samples: int = SAMPLES) ->
     for index, trajectory in enumerate(dataset):
         task = recorded_task(dataset, trajectory)
         name = str(trajectory.scene.metadata["task"])
-        if name not in POSTERIORS or trajectory.scene.metadata.get("hidden_switch") is False:
+        if name not in POSTERIORS or not trajectory.scene.metadata.get("hidden_switch", True):
             raise InvalidInputError(
                 f"the bound is of suction --hidden-switch, release, delay and sticky, found {name}"
             )
