@@ -1,7 +1,7 @@
 """The contract of a study: its measurements, and the claims, tables and figures made from them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -68,14 +68,6 @@ class Claim:
         statistic = SeedStatistic(found.each, found.command, found.unit)
         self.metrics.append(ClaimMetric(name, task, statistic, (found.low, found.high)))
         return found
-
-    def judge(self, holds: bool, needed: Iterable[SeedStatistic], finding: str = "") -> None:
-        """Add a verdict and its reason, or None if a ``needed`` number is not known."""
-        known = all(one.known for one in needed)
-        by_word = Verdict.HOLDS if holds else Verdict.FAILS
-        self.verdicts.append(by_word if known else Verdict.UNKNOWN)
-        if known and finding:
-            self.findings.append(finding)
 
     @property
     def verdict(self) -> Verdict:

@@ -225,6 +225,54 @@ def test_evaluate(fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert json.loads(path.read_text()) == {**values, "run": str(model)}
 
 
+def test_evaluate_under_forced_controls(
+    fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "result.json"
+    done("evaluate", "pickup", fresh, "--forced", "--forced-every", 60, "--json", path)
+    title, table, *_ = capsys.readouterr().out.splitlines()
+    assert title == ("8 windows under random constant forces, one every 60 states of 2 episodes")
+    assert table.startswith("error over 10 steps ")
+    values = json.loads(path.read_text())
+    assert values.keys() >= OPEN_LOOP | {"n_step_mean_moving_inferred_m"}
+    assert (values["windows"], values["runs"], values["forced_every"]) == (8, 2, 60)
+    low, high = values["n_step_rmse_interval_moving_m"]
+    assert low <= values["n_step_rmse_moving_m"] <= high
+    assert high < values["constant_velocity_rmse_interval_moving_m"][0]
+
+
+def test_data_that_cannot_be_replayed(mistake, fresh: Path, tmp_path: Path) -> None:
+    dataset = read_trajectories(fresh)
+    first = dataset.trajectories[0]
+    strange = {**first.scene.metadata, "simulator": "mujoco 3.6.0", "task": "toss"}
+    moved = dataclasses.replace(first, position=first.position + 1.0)
+    for name, each, text in (
+        (
+            "strange.h5",
+            dataclasses.replace(first, scene=dataclasses.replace(first.scene, metadata=strange)),
+            "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
+            "found task toss, simulator mujoco 3.6.0",
+        ),
+        (
+            "class.h5",
+            dataclasses.replace(
+                first,
+                scene=dataclasses.replace(
+                    first.scene, metadata={**first.scene.metadata, "task": "os:system"}
+                ),
+            ),
+            "found task os:system, simulator " + str(first.scene.metadata["simulator"]),
+        ),
+        ("moved.h5", moved, "differs from the recording: position in state 0 of 200"),
+    ):
+        path = tmp_path / name
+        write_trajectories(path, [each], dataset.metadata)
+        assert mistake("evaluate", "pickup", path, "--forced").endswith(text)
+    assert "--forced-every must be" in mistake(
+        "evaluate", "pickup", fresh, "--forced", "--forced-every", 0
+    )
+
+
 @pytest.mark.parametrize("real", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_control(
     tmp_path: Path,

@@ -31,7 +31,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         seconds.append(time)
         return Unmoved()
 
-    monkeypatch.setattr("contactgraph.evaluate.fitted_baselines.fit_interaction_network", fit)
+    monkeypatch.setattr("contactgraph.evaluate.network_fit.fit_interaction_network", fit)
     return seconds
 
 

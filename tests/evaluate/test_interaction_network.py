@@ -12,10 +12,17 @@ from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.evaluate.baselines import constant_velocity
-from contactgraph.evaluate.fitted_baselines import fit_baselines
-from contactgraph.evaluate.interaction_network import InteractionNetwork
-from contactgraph.evaluate.network_fit import FittedNetwork, fit_interaction_network
-from contactgraph.evaluate.network_inputs import input_scales, network_windows, scene_inputs
+from contactgraph.evaluate.interaction_network import InteractionNetwork, links
+from contactgraph.evaluate.network_fit import (
+    FittedNetwork,
+    fit_baselines,
+    fit_interaction_network,
+    input_scales,
+    network_windows,
+)
+from contactgraph.model import scene_nodes
+
+TYPES = ("gripper", "object")
 
 
 def attraction(seed: int, steps: int = 30) -> Trajectory:
@@ -38,7 +45,7 @@ def network():
     """Untrained, but with an answer that is not constant velocity."""
     run = random_run(3, 8, 0)
     scales = input_scales(Dataset((run,)))
-    made = InteractionNetwork(2, 2, 5, scales, jax.random.key(0))
+    made = InteractionNetwork(2, TYPES, scales, jax.random.key(0))
     return eqx.tree_at(lambda each: each.decoder.weight, made, replace_fn=lambda leaf: 100 * leaf)
 
 
@@ -47,7 +54,7 @@ _step = eqx.filter_jit(lambda network, *arguments: network.step(*arguments))
 
 def step(network, run: Trajectory, capacity: int | None = None):
     count = run.scene.node_count
-    scene = scene_inputs(run.scene, run.control_size, ("gripper", "object"), capacity or count)
+    scene = scene_nodes(run.scene, capacity)
     padding = ((0, (capacity or count) - count), (0, 0))
     arrays = (np.pad(each[0], padding) for each in (run.position, run.velocity))
     found = _step(network, scene, *(jnp.asarray(each) for each in arrays), run.control[0])
@@ -75,9 +82,11 @@ def test_control_reaches_what_it_acts_on_and_messages_only_candidates(network):
     assert all(each[0] > 1e-4 and not each[1:].any() for each in differs)
     together = replace(run, control=alone.control + 1.0)
     assert np.abs(step(network, run)[0] - step(network, together)[0])[1].max() > 1e-5
-    second = replace(pushed.scene, control_of=np.array([[False] * 2, [True] * 2, [False] * 2]))
-    found = step(network, replace(pushed, scene=second))[0] - step(network, alone)[0]
-    assert np.abs(found).max(axis=1)[2] == 0.0 < np.abs(found).max(axis=1)[1]
+    acts = np.array([[False] * 2, [True] * 2, [False] * 2])
+    second = replace(alone.scene, actuated=np.array([True, True, False]), control_of=acts)
+    still, moved = (step(network, replace(each, scene=second))[0] for each in (alone, pushed))
+    found = np.abs(moved - still).max(axis=1)
+    assert found[0] == found[2] == 0.0 < found[1]
 
 
 def test_a_static_body_stays(network):
@@ -97,17 +106,17 @@ def test_a_distractor_is_linked_to_all_that_exist_and_to_nothing_else():
         velocity = run.velocity.copy()
         velocity[:, 1] = 0.0
         runs.append(replace(run, velocity=velocity))
-    windows = network_windows(Dataset(tuple(runs)), ("gripper", "object"))
+    windows = network_windows(Dataset(tuple(runs)))
     assert windows.distractors == 1
-    drawn, scenes = jax.jit(lambda key: windows.draw(16, key))(jax.random.key(3))
-    mask, linked = np.asarray(drawn.nodes.mask), np.asarray(scenes.linked)
+    nodes = jax.jit(lambda key: windows.draw(16, key))(jax.random.key(3)).nodes
+    mask = np.asarray(nodes.mask)
     assert mask.shape == (16, 4) and mask[:, -1].any() and not mask[:, 2].all()
-    assert np.array_equal(np.asarray(scenes.exists), mask)
+    linked = np.asarray(jax.vmap(links)(nodes))
     expected = mask[:, :, None] & mask[:, None] & ~np.eye(4, dtype=bool)
     assert np.array_equal(linked, expected)
-    features = np.asarray(scenes.features)
-    assert np.array_equal(features[:, -1], features[:, 1])  # an object, not a gripper
-    assert not np.asarray(scenes.acts)[:, -1].any()
+    types = np.asarray(nodes.type_id)
+    assert np.array_equal(types[:, -1], types[:, 1])  # an object, not a gripper
+    assert not np.asarray(nodes.actuated)[:, -1].any()
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +130,7 @@ def fitted():
         return fit_interaction_network(dataset, seconds, least_steps, clock=clock)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("contactgraph.evaluate.fitted_baselines.fit_interaction_network", fit)
+        patch.setattr("contactgraph.evaluate.network_fit.fit_interaction_network", fit)
         patch.setattr("contactgraph.evaluate.network_fit._BATCH", 8)
         patch.setattr("contactgraph.evaluate.network_fit._CHECKED", 8)
         return fit_baselines(data, Dataset((random_run(3, 8, 0),)), 2.0, 150)
@@ -138,10 +147,7 @@ def test_bodies_that_turn_have_angles_whatever_the_number_of_turns() -> None:
     run = replace(run, scene=scene, orientation=turn, angular_velocity=spin)
     scales = input_scales(Dataset((run,)))
     assert scales.turn_length == pytest.approx(np.sqrt(0.2**2 / 6.0))
-    windows = network_windows(Dataset((run,)), ("gripper", "object"))
-    features = windows.scenes.features.shape[-1]
-    network = InteractionNetwork(2, 2, features, scales, jax.random.key(0))
-    fitted = FittedNetwork(network, ("gripper", "object"), 0.0, 0)
+    fitted = FittedNetwork(InteractionNetwork(2, TYPES, scales, jax.random.key(0)), 0.0, 0)
     found = fitted(run, 4)
     assert found.shape == (5, 4, 2, 3)
     expected = np.stack([turn[start + 1 : start + 5] for start in range(5)])[..., 0]
@@ -154,23 +160,23 @@ def test_bodies_that_turn_have_angles_whatever_the_number_of_turns() -> None:
 def test_it_learns_a_spring_between_two_bodies(fitted):
     fresh = attraction(99)
     truth = np.stack([fresh.position[start + 1 : start + 7] for start in range(25)])
+    least_squares, network = fitted
     error, exact, floor = (
         np.sqrt(np.mean((each(fresh, 6) - truth) ** 2))
-        for each in (fitted.network, fitted.least_squares, constant_velocity)
+        for each in (network, least_squares, constant_velocity)
     )
     assert error < 0.4 * floor and exact < 1e-3 * floor
 
 
 def test_the_effort_of_training_and_the_reason_of_a_null_are_told(fitted):
-    assert fitted.to_json() == {
-        "gnn_training_s": 3.0,
-        "gnn_training_steps": 150,
-        "least_squares_missing": "no scene of the training data has 3 nodes, as the test data "
-        "has; they have 2",
-    }
+    least_squares, network = fitted
     three = random_run(3, 8, 0)
-    assert fitted.predictions["least_squares"](three, 2) is None
-    assert fitted.predictions["gnn"](three, 2).shape == (7, 2, 3, 2)
+    assert (network.seconds, network.steps) == (3.0, 150)
+    assert least_squares.missing([three]) == (
+        "no scene of the training data has 3 nodes, as the test data has; they have 2"
+    )
+    assert least_squares(three, 2) is None
+    assert network(three, 2).shape == (7, 2, 3, 2)
 
 
 def test_baselines_are_fitted_to_data_of_the_same_kind_only():

@@ -20,7 +20,6 @@ from contactgraph_studies.cost.config import (
     by_demonstrations,
     known_answers,
 )
-from contactgraph_studies.cost.figures import success_figure
 from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.cost.known_answer import (
     KnownAnswer,
@@ -28,7 +27,7 @@ from contactgraph_studies.cost.known_answer import (
     own_cost,
     read_answers,
 )
-from contactgraph_studies.cost.study import CostStudy, cost_table, transfers
+from contactgraph_studies.cost.study import CostStudy, cost_table, success_figure, transfers
 from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
 from contactgraph_studies.results import Results
 

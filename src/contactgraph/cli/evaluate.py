@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from contactgraph.cli.options import (
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
-    from contactgraph.evaluate.fitted_baselines import FittedBaselines
+    from contactgraph.evaluate import Baseline
     from contactgraph.model import ContactDynamics
 
 
@@ -54,6 +55,11 @@ class Evaluate:
         None
     )
     """Also roll the model out over this many steps from every start, and measure its growth."""
+    forced: bool = False
+    """Predict under random constant forces that are simulated from states of planar tasks, in place
+    of the recorded controls, which may tell what is hidden."""
+    forced_every: Annotated[int, arg(metavar="STATES")] = 12
+    """With --forced: states from one window to the next."""
     device: Device = AUTO
 
     def run(self) -> None:
@@ -69,28 +75,38 @@ class Evaluate:
         )
         from contactgraph.cli.options import check_range, sensor_faults
         from contactgraph.cli.output import check_writable, write_json
+        from contactgraph.cli.tasks import recorded_task
         from contactgraph.data import read_trajectories, with_edge_labels
-        from contactgraph.evaluate import evaluate_open_loop, horizon_steps, rollout_growth
+        from contactgraph.evaluate import (
+            evaluate_open_loop,
+            forced_windows,
+            horizon_steps,
+            rollout_growth,
+        )
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
         faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
+        check_range("--forced-every", self.forced_every, 1, 100_000)
         model = with_inference(stored_model(self.model), self.inference)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
         noise = motion_evidence(model, self.infer_contacts, self.ignore_motion)
-        horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
-        fitted = None
-        if self.baselines is not None:
-            fitted = self._fitted(self.baselines, model, dataset)
+        steps = horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
+        tested, episodes = dataset, tuple[int, ...]()
+        if self.forced:
+            task_of = partial(recorded_task, dataset)
+            tested, episodes = forced_windows(dataset, task_of, steps, self.forced_every)
+        baselines, effort = self._fitted(model, dataset)
         metrics = evaluate_open_loop(
             model,
-            dataset,
+            tested,
             horizon_s=self.horizon,
             faults=faults,
             motion_noise=noise,
-            baselines={} if fitted is None else fitted.predictions,
+            baselines=baselines,
+            last_window_of=episodes,
         )
         growth = None
         if self.growth_steps is not None:
@@ -105,16 +121,17 @@ class Evaluate:
             "delay": self.delay,
             "infer_contacts": noise is not None,
             "inference": self.inference,
+            "forced_every": self.forced_every if self.forced else None,
             "contact_distance_m": contact_distance(model),
             "training_s": describe_model(model_path(self.model)).training.get("training_s"),
             **metrics.to_json(),
-            **({} if fitted is None else fitted.to_json()),
+            **effort,
             **({} if growth is None else growth.to_json()),
         }
         write_json(self.json, values)
         _print_summary(values, metrics.unbeaten)
-        if fitted is not None and fitted.least_squares_missing is not None:
-            print(f"least squares: {fitted.least_squares_missing}")
+        if effort.get("least_squares_missing") is not None:
+            print(f"least squares: {effort['least_squares_missing']}")
         print(f"contact distance: {contact_distance_text(model)}")
         if growth is not None:
             print(
@@ -128,25 +145,34 @@ class Evaluate:
                 f"{self.data} have no contact field"
             )
 
-    def _fitted(self, path: Path, model: "ContactDynamics", test: "Dataset") -> "FittedBaselines":
-        """The baselines fitted to a dataset file, the network for as long as the model."""
+    def _fitted(
+        self, model: "ContactDynamics", test: "Dataset"
+    ) -> "tuple[dict[str, Baseline], dict[str, Any]]":
+        """The baselines fitted to a dataset file, the network for as long as the model, and what
+        that took, by their JSON keys; none without ``--baselines``."""
         from contactgraph.cli.models import in_steps_of, model_path
         from contactgraph.data import read_trajectories
-        from contactgraph.evaluate.fitted_baselines import fit_baselines
+        from contactgraph.evaluate.network_fit import fit_baselines
         from contactgraph.model.io import describe_model
 
-        train = in_steps_of(model, read_trajectories(path), str(path))
+        if self.baselines is None:
+            return {}, {}
+        train = in_steps_of(model, read_trajectories(self.baselines), str(self.baselines))
         training = describe_model(model_path(self.model)).training
         took, made = training.get("training_s"), training.get("step")
         seconds = float(took) if isinstance(took, int | float) and took > 0 else _TRAINING_S
         steps = made if isinstance(made, int) and made > 0 else _TRAINING_STEPS
-        fitted = fit_baselines(train, test, seconds, steps)
-        network = fitted.network
+        least_squares, network = fit_baselines(train, test, seconds, steps)
         print(
             f"interaction network: {network.steps} steps of training in {network.seconds:.0f} s, "
             f"at least the model's {steps} in {seconds:.0f} s"
         )
-        return fitted
+        effort = {
+            "gnn_training_s": round(network.seconds, 1),
+            "gnn_training_steps": network.steps,
+            "least_squares_missing": least_squares.missing(test),
+        }
+        return {"least_squares": least_squares, "gnn": network}, effort
 
 
 _TRAINING_S = 60.0
@@ -169,6 +195,12 @@ _AHEAD = {"": "one step ahead", "_ahead": "at the end of the window"}
 
 
 def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
+    contacts = {
+        beliefs: text
+        for beliefs, text in _CONTACTS.items()
+        if beliefs != "_inferred" or values["infer_contacts"]
+    }
+
     def centimetres(prediction: tuple[str, str], chosen: str) -> str:
         name, beliefs = prediction
         value = values[f"{name}_rmse{chosen}{beliefs}_m"]
@@ -178,6 +210,11 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         value = values[name]
         return "unknown" if value is None else f"{value:.4f}"
 
+    if values["forced_every"] is not None:
+        print(
+            f"{values['windows']} windows under random constant forces, one every "
+            f"{values['forced_every']} states of {values['episodes']} episodes"
+        )
     title = f"error over {values['n_steps']} steps"
     print(f"{title:<23}{'bodies that move':>16}  {'all bodies':>16}")
     for text, prediction in _PREDICTIONS.items():
@@ -188,6 +225,14 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
     if unbeaten:
         worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
+    for beliefs, text in contacts.items():
+        keys = [f"n_step_{each}_moving{beliefs}_m" for each in ("rmse_interval", "mean")]
+        if values.get(keys[1]) is not None:
+            low, high = (f"{100 * each:.3f}" for each in values[keys[0]])
+            print(
+                f"bodies that move, contacts {text}: {low} to {high} cm in 95 % of resampled "
+                f"episodes; mean of the windows' errors {100 * values[keys[1]]:.3f} cm"
+            )
     print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
     if (angle := values["angle_rmse_rad"]) is not None:
         constant = values["constant_velocity_angle_rmse_rad"]
@@ -198,15 +243,13 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
     if (drift := values["pin_drift_m"]) is not None:
         print(f"pins come apart by at most {1000 * drift:.3f} mm")
-    for beliefs, text in _CONTACTS.items():
-        if beliefs != "_inferred" or values["infer_contacts"]:
-            now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
-            print(f"edges, contacts {text}: F1 {now} (step just made), {coming} (steps to come)")
+    for beliefs, text in contacts.items():
+        now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
+        print(f"edges, contacts {text}: F1 {now} (step just made), {coming} (steps to come)")
     for ahead, text in _AHEAD.items():
         errors = ", ".join(
             f"{score(f'calibration_error{ahead}{beliefs}')} ({name})"
-            for beliefs, name in _CONTACTS.items()
-            if beliefs != "_inferred" or values["infer_contacts"]
+            for beliefs, name in contacts.items()
         )
         print(f"calibration error of beliefs {text}: {errors}")
     switch = values["switch_time_error_s"]

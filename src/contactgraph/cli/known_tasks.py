@@ -1,30 +1,39 @@
 """The table of the library's own tasks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
-from contactgraph.cli.adapted_tasks import ADAPTED_TASKS
-from contactgraph.cli.hidden_contact_tasks import HIDDEN_CONTACT_TASKS
 from contactgraph.cli.task_types import AS_TRAINED, THREE_DISTRACTORS, KnownTask, TestCondition
 from contactgraph.envs import (
     BilliardsExpert,
     BilliardsTask,
+    CarryExpert,
     ChainTask,
+    DelayTask,
     DominoesTask,
     DoorExpert,
     DoorTask,
     ForcedPush,
+    HandlingPolicy,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
+    ReleaseTask,
     RestPolicy,
     SpringsTask,
     StackTask,
+    StickyExpert,
+    StickyTask,
     StrikingPolicy,
+    SuctionExpert,
+    SuctionTask,
     TossTask,
     UnknownMassTask,
+    fetch,
+    pusht,
 )
-from contactgraph.envs.contract import Task
+from contactgraph.envs.contract import Policy, Task
 
 
 def _passive(make: Callable[[], Task], summary: str) -> KnownTask:
@@ -38,6 +47,51 @@ def _passive(make: Callable[[], Task], summary: str) -> KnownTask:
         max_force=None,
         summary=summary,
     )
+
+
+def _hidden_hold(
+    make: Callable[..., Task], expert: Callable[..., Policy], summary: str
+) -> KnownTask:
+    """A task in which geometry does not tell holding."""
+    return KnownTask(
+        make,
+        expert,
+        partial(expert, noise=0.0),
+        explorer=HandlingPolicy,
+        summary=summary,
+        conditions=(AS_TRAINED, THREE_DISTRACTORS),
+    )
+
+
+def _fetch(
+    name: str, policies: Sequence[Callable[[], Policy]], max_force: float | None, summary: str
+) -> KnownTask:
+    """An environment of gymnasium-robotics. ``policies``: expert, fixed start and explorer."""
+    expert, fixed_start, explorer = policies
+    return KnownTask(
+        partial(fetch.fetch_task, name),
+        expert,
+        fixed_start,
+        fixed_start,
+        explorer,
+        horizon=30,
+        starts=64,
+        max_force=max_force,
+        summary=summary,
+    )
+
+
+_PUSHT = KnownTask(
+    pusht.pusht_task,
+    pusht.pusht_expert,
+    pusht.pusht_fixed_start,
+    pusht.pusht_fixed_start,
+    pusht.pusht_explorer,
+    horizon=30,
+    starts=64,
+    max_force=None,
+    summary="an agent pushes a T to a goal (gym-pusht; success by position, at any angle)",
+)
 
 
 TASKS = {
@@ -108,6 +162,51 @@ TASKS = {
         conditions=(AS_TRAINED, THREE_DISTRACTORS),
     ),
     "springs": _passive(SpringsTask, "bodies on springs that nothing shows; nothing is driven"),
-    **HIDDEN_CONTACT_TASKS,
-    **ADAPTED_TASKS,
+    "suction": replace(
+        _hidden_hold(
+            SuctionTask,
+            SuctionExpert,
+            "a suction gripper takes an object to a goal and puts it down",
+        ),
+        max_force=None,
+    ),
+    "release": _hidden_hold(
+        ReleaseTask,
+        CarryExpert,
+        "a gripper that loses its hold after a hidden time takes an object to a goal",
+    ),
+    "delay": _hidden_hold(
+        DelayTask,
+        CarryExpert,
+        "a gripper that holds after 0.4 s of touching takes an object to a goal",
+    ),
+    "sticky": _hidden_hold(
+        StickyTask,
+        StickyExpert,
+        "a gripper finds an object that holds among look-alikes, and takes it to a goal",
+    ),
+    "pusht": _PUSHT,
+    "pusht-pose": replace(
+        _PUSHT,
+        make=pusht.pusht_pose_task,
+        summary="as pusht, with its own success: the T covers 95 % of its outline at the goal",
+    ),
+    "fetch-push": _fetch(
+        "fetch-push",
+        (fetch.push_expert, fetch.push_fixed_start, fetch.push_explorer),
+        fetch.MAX_DISPLACEMENT,
+        "an arm pushes a block to a goal (gymnasium-robotics, MuJoCo)",
+    ),
+    "fetch-slide": _fetch(
+        "fetch-slide",
+        (fetch.slide_expert, fetch.slide_fixed_start, fetch.slide_explorer),
+        fetch.MAX_DISPLACEMENT,
+        "an arm strikes a puck that slides to a goal beyond its reach (MuJoCo)",
+    ),
+    "fetch-pick-and-place": _fetch(
+        "fetch-pick-and-place",
+        (fetch.pick_expert, fetch.pick_fixed_start, fetch.pick_explorer),
+        None,
+        "an arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)",
+    ),
 }

@@ -213,8 +213,6 @@ def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
 
 def check_edge_types(model: str, edge_types: int | None) -> None:
     """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
-    from contactgraph.data import InvalidInputError
-
     if edge_types is not None and model not in ("ours", "relations") and ":" not in model:
         raise InvalidInputError(
             f"--edge-types: {model} has no types to choose; it is for ours and relations, "

@@ -13,10 +13,10 @@ from typing import Any
 from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.options import choice, load_entry_point, load_object
 from contactgraph.cli.task_types import FLAGS, KnownTask, TaskFactory
-from contactgraph.data import InvalidInputError
+from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.envs import ExplorationPolicy
 from contactgraph.envs.contract import Task
-from contactgraph.envs.planar.world import engine_name
+from contactgraph.envs.planar.world import ENGINES, engine_name
 
 _GROUP = "contactgraph.tasks"
 
@@ -96,6 +96,28 @@ def make(task: str, **options: Any) -> Task:
     Scene(1 gripper, 3 object; N=4, D=2, dt=0.05 s)
     """
     return task_factory(task, options)()
+
+
+def recorded_task(dataset: Dataset, trajectory: Trajectory) -> Task:
+    """The task of an episode in a dataset, with the options and the engine of its metadata.
+
+    Raises `InvalidInputError` where these name no planar task, or no seed. A file does not get to
+    import a class: it names tasks only.
+    """
+    metadata = {**dataset.metadata, **trajectory.scene.metadata}
+    name, engine = str(metadata.get("task")), str(metadata.get("simulator")).partition(" ")[0]
+    seeded = isinstance(trajectory.scene.metadata.get("seed"), int)
+    if engine not in ENGINES or name not in task_names() or not seeded:
+        raise InvalidInputError(
+            "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
+            f"found task {name}, simulator {metadata.get('simulator')}"
+        )
+    parameters = inspect.signature(known_task(name).make).parameters
+    options = {each: value for each, value in metadata.items() if each in parameters}
+    try:
+        return make(name, **{**options, "engine": engine})
+    except TypeError as error:
+        raise InvalidInputError(f"the metadata do not describe a task {name}: {error}") from error
 
 
 def mixed_factories(name: str, options: Mapping[str, Any]) -> list[TaskFactory]:

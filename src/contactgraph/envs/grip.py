@@ -130,32 +130,34 @@ class BreakingHold:
         if not tension > 0.0:
             raise InvalidInputError(f"tension must be above 0 N, found {tension}")
         self._seed, self._times, self._tension = seed, times, tension
-        self._nodes = None if nodes is None else frozenset(nodes)
         self._rng = np.random.default_rng(seed)
-        self._left: dict[int, float] = {}
+        self.nodes = None if nodes is None else frozenset(nodes)
+        """The bodies that can be held; None: all."""
+        self.left: dict[int, float] = {}
+        """The time after which each hold ends by itself, s."""
         self._apart: dict[int, float] = {}
 
     def reset(self, world: PlanarWorld) -> None:
         """Begins an episode: the same times again."""
         self._rng = np.random.default_rng(self._seed)
-        self._left, self._apart = {}, {}
+        self.left, self._apart = {}, {}
 
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins or parts the gripper's pairs after a substep of ``dt`` s."""
         touching = touched(world)
         self._part(world, dt)
         self._wait_for_parting(touching, dt)
-        can_hold = touching if self._nodes is None else touching & self._nodes
-        for node in sorted(can_hold - set(self._left) - set(self._apart)):
+        can_hold = touching if self.nodes is None else touching & self.nodes
+        for node in sorted(can_hold - set(self.left) - set(self._apart)):
             world.join(GRIPPER, node)
-            self._left[node] = math.inf if self._times is None else self._rng.uniform(*self._times)
+            self.left[node] = math.inf if self._times is None else self._rng.uniform(*self._times)
 
     def _part(self, world: PlanarWorld, dt: float) -> None:
-        for node in sorted(self._left):
-            self._left[node] -= dt
-            if self._left[node] <= _ROUNDING or world.joint_tension(GRIPPER, node) > self._tension:
+        for node in sorted(self.left):
+            self.left[node] -= dt
+            if self.left[node] <= _ROUNDING or world.joint_tension(GRIPPER, node) > self._tension:
                 world.part(GRIPPER, node)
-                del self._left[node]
+                del self.left[node]
                 self._apart[node] = 0.0
 
     def _wait_for_parting(self, touching: set[int], dt: float) -> None:

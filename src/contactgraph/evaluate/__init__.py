@@ -15,6 +15,7 @@ from contactgraph.evaluate.control_task import control_task as control_task
 from contactgraph.evaluate.control_task import mpc_policy as mpc_policy
 from contactgraph.evaluate.edge_scores import EstimatedContacts as EstimatedContacts
 from contactgraph.evaluate.edge_scores import estimated_contacts as estimated_contacts
+from contactgraph.evaluate.forced import forced_windows as forced_windows
 from contactgraph.evaluate.model_diagnostics import ModelDiagnostics as ModelDiagnostics
 from contactgraph.evaluate.model_diagnostics import RolloutGrowth as RolloutGrowth
 from contactgraph.evaluate.model_diagnostics import model_diagnostics as model_diagnostics

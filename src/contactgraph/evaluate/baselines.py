@@ -65,7 +65,7 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     # A static body has no mass of its own: its groups are not accelerated.
     mass = group @ np.where(static, 1.0, scene.mass)
     inverse_mass = np.where(group @ static > 0.0, 0.0, 1.0 / mass)[:, None, :, None]
-    force = _windows(applied, steps)
+    force = sliding_windows(applied, steps)
     acceleration = inverse_mass * (group[:, None] @ force)
     if scene.has_weight:
         carried = (group @ scene.actuated > 0.0) * (group @ (scene.mass * ~scene.actuated))
@@ -111,9 +111,9 @@ def node_force(trajectory: Trajectory) -> np.ndarray | None:
     return force
 
 
-def _windows(per_step: np.ndarray, steps: int) -> np.ndarray:
-    """[T - H + 1, H, D], a view."""
-    view = np.lib.stride_tricks.sliding_window_view(per_step, steps, axis=0)
+def sliding_windows(values: np.ndarray, length: int) -> np.ndarray:
+    """[T - L + 1, L, ...], a view of ``values`` [T, ...]: L = ``length`` of them from each on."""
+    view = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)
     return np.moveaxis(view, -1, 1)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contactgraph.evaluate.statistics import Sums
+
 BINS = 10
 """Bins of probability, of equal width."""
 _MIN_PROBABILITY = 1e-6
@@ -15,7 +17,7 @@ _MIN_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Sums):
     """Sums over beliefs and labels; those of several trajectories add up.
 
     A score is None where no belief was counted.
@@ -31,15 +33,6 @@ class Calibration:
     """Sum of the squared differences between beliefs and labels, 0 or 1."""
     log_loss: float
     """Sum of -ln of the probability of each label, which counts as at least 1e-6."""
-
-    def __add__(self, other: "Calibration") -> "Calibration":
-        return Calibration(
-            self.count + other.count,
-            self.belief + other.belief,
-            self.active + other.active,
-            self.squared_error + other.squared_error,
-            self.log_loss + other.log_loss,
-        )
 
     @property
     def total(self) -> int:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contactgraph.data import Trajectory, pair_indices
-from contactgraph.evaluate.statistics import finite_or_none
+from contactgraph.evaluate.statistics import Sums, finite_or_none
 
 
 @dataclass(frozen=True)
-class EdgeCounts:
+class EdgeCounts(Sums):
     """Counts of agreement between prediction and truth; those of several trajectories add up.
 
     A score is None where there is nothing to divide by.
@@ -21,14 +21,6 @@ class EdgeCounts:
     misses: int = 0
     total: int = 0
     """All edges in all steps."""
-
-    def __add__(self, other: "EdgeCounts") -> "EdgeCounts":
-        return EdgeCounts(
-            self.hits + other.hits,
-            self.false_alarms + other.false_alarms,
-            self.misses + other.misses,
-            self.total + other.total,
-        )
 
     @property
     def precision(self) -> float | None:
@@ -56,40 +48,11 @@ class EdgeCounts:
         return _share(self.false_alarms, self.total - self.hits - self.misses)
 
 
-@dataclass(frozen=True)
-class EdgeScores:
-    """Scores over all edges, steps and windows; None where there is nothing to divide by."""
-
-    counts: EdgeCounts
-    switch_time_error_s: float | None
-    """s; see `switch_time_errors`."""
-    on_time: float | None
-    """Share of touches predicted, from the state just before, for the very step of the touch."""
-
-
-def edge_scores(
-    predicted: np.ndarray,
-    contact: np.ndarray,
-    exists: np.ndarray,
-    touch_on_time: np.ndarray,
-    dt: float,
-) -> EdgeScores:
-    """Scores of ``predicted`` [W, H, E] against ``contact`` [W, H+1, E], both bool.
-
-    Step h of a window leads from its state h to its state h + 1, so its truth is contact in state
-    h + 1. ``exists``: [W, E] bool, False for padding. ``touch_on_time``: a bool for every touch.
-    """
-    counts = edge_counts(predicted, contact[:, 1:], exists)
-    late = switch_time_errors(predicted, contact, exists) * dt
-    return EdgeScores(
-        counts=counts,
-        switch_time_error_s=float(late.mean()) if len(late) else None,
-        on_time=_share(int(touch_on_time.sum()), len(touch_on_time)),
-    )
-
-
 def edge_counts(predicted: np.ndarray, true: np.ndarray, exists: np.ndarray) -> EdgeCounts:
-    """Counts of ``predicted`` against ``true``, both [W, H, E] bool, where ``exists`` [W, E]."""
+    """Counts of ``predicted`` against ``true``, both [W, H, E] bool.
+
+    ``exists``: [W, E] bool, False for padding.
+    """
     return EdgeCounts(
         hits=_count(predicted & true, exists),
         false_alarms=_count(predicted & ~true, exists),
@@ -103,6 +66,7 @@ def switch_time_errors(
 ) -> np.ndarray:
     """[onsets] steps, at least 0, between the predicted and the true onset of contact.
 
+    Step h of ``predicted`` [W, H, E] leads to state h + 1 of ``contact`` [W, H+1, E], both bool.
     One entry for every window and edge that is not in contact in the window's first state and is
     later: the steps between the first true contact and the first predicted one in that window.
     Where none is predicted, the error is the rest of the window from the true onset on.
@@ -123,7 +87,7 @@ def _share(part: int, whole: int) -> float | None:
 
 
 @dataclass(frozen=True)
-class EstimatedContacts:
+class EstimatedContacts(Sums):
     """Beliefs about the step just made, corrected by all observations; episodes add up.
 
     A delay lasts from the first observation at which a contact exists, or no longer exists, to the
@@ -137,13 +101,6 @@ class EstimatedContacts:
     """s; of every contact that began."""
     break_delays: tuple[float, ...] = ()
     """s; of every contact that ended."""
-
-    def __add__(self, other: "EstimatedContacts") -> "EstimatedContacts":
-        return EstimatedContacts(
-            self.edges + other.edges,
-            self.onset_delays + other.onset_delays,
-            self.break_delays + other.break_delays,
-        )
 
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not known, or infinite because the contact

@@ -5,15 +5,40 @@ After Battaglia et al., Interaction Networks for Learning about Objects, Relatio
 receives, and the sums give the change of its velocity and position over a step.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from contactgraph.evaluate.network_inputs import InputScales, SceneInputs
+from contactgraph.data import Nodes, pair_indices
+from contactgraph.data.trajectory_batch import type_id
 
 _WIDTH = 64
 _ROUNDS = 2
+_FLAGS = 3
+"""Whether a body is actuated, static, on a hinge."""
+
+
+class InputScales(eqx.Module):
+    """Typical sizes in the training data, so that the network works with numbers about 1."""
+
+    contact_distance: float
+    """m"""
+    position: float
+    """Spread of positions, m."""
+    speed: float
+    """m/s"""
+    speed_change: float
+    """In a step, m/s."""
+    control: tuple[float, ...]
+    """[U]"""
+    dt: float
+    """s"""
+    turn_length: float | None = None
+    """See `generalized_coordinates`. None: no body turns in the plane."""
 
 
 class MessageRound(eqx.Module):
@@ -52,30 +77,27 @@ class InteractionNetwork(eqx.Module):
     rounds: tuple[MessageRound, ...]
     decoder: eqx.nn.Linear
     scales: InputScales = eqx.field(static=True)
+    types: tuple[int, ...] = eqx.field(static=True)
+    """The `type_id` of each type that it knows; of others it knows nothing."""
 
     def __init__(
-        self,
-        dimension: int,
-        control_size: int,
-        feature_count: int,
-        scales: InputScales,
-        key: PRNGKeyArray,
+        self, dimension: int, types: Sequence[str], scales: InputScales, key: PRNGKeyArray
     ) -> None:
         encoder, decoder, *rounds = jax.random.split(key, 2 + _ROUNDS)
         turns = int(scales.turn_length is not None)
         coordinates = dimension + turns
         # Of a turn the rate, cosine and sine.
-        inputs = 3 * (dimension + turns) + control_size + feature_count
+        inputs = 3 * (dimension + turns) + len(scales.control) + len(types) + _FLAGS
         self.encoder = eqx.nn.MLP(inputs, _WIDTH, _WIDTH, 1, key=encoder)
         self.rounds = tuple(MessageRound(dimension + coordinates + 2, each) for each in rounds)
         last = eqx.nn.Linear(_WIDTH, 2 * coordinates, key=decoder)
         # It starts as constant velocity.
         self.decoder = jax.tree.map(lambda leaf: 0.01 * leaf, last)
-        self.scales = scales
+        self.scales, self.types = scales, tuple(map(type_id, types))
 
     def step(
         self,
-        scene: SceneInputs,
+        nodes: Nodes,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         control: Float[Array, " U"],
@@ -86,14 +108,19 @@ class InteractionNetwork(eqx.Module):
         if scales.turn_length is not None:
             place, angle = position[:, :-1], position[:, -1:] / scales.turn_length
             turn = jnp.concatenate([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-        hinged = scene.features[:, -1:]
+        flags = jnp.stack([nodes.actuated, nodes.mask & ~nodes.mobile, nodes.hinged], axis=-1)
+        acts = nodes.actuated[:, None] if nodes.control_of is None else nodes.control_of
+        arm = 0.0 * place
+        if nodes.anchor is not None:
+            arm = jnp.where(nodes.hinged[:, None], nodes.anchor - place, 0.0)
         body = [
             velocity / scales.speed,
             place / scales.position,
             turn,
-            hinged * (scene.anchor - place) / scales.position,
-            scene.acts * control / jnp.asarray(scales.control),
-            scene.features,
+            arm / scales.position,
+            acts * control / jnp.asarray(scales.control),
+            jnp.asarray(nodes.type_id)[:, None] == np.array(self.types, np.int32),
+            flags,
         ]
         hidden = jax.vmap(self.encoder)(jnp.concatenate(body, axis=-1))
         offset = (place[None] - place[:, None]) / scales.contact_distance
@@ -104,14 +131,14 @@ class InteractionNetwork(eqx.Module):
             [offset, closing / scales.speed, _length(offset), _length(coming)], axis=-1
         )
         for messages in self.rounds:
-            hidden = messages(hidden, relation, scene.linked)
+            hidden = messages(hidden, relation, links(nodes))
         change = jax.vmap(self.decoder)(hidden) * scales.speed_change
-        faster, farther = jnp.split(jnp.where(scene.movable[:, None], change, 0.0), 2, axis=-1)
+        faster, farther = jnp.split(jnp.where(nodes.mobile[:, None], change, 0.0), 2, axis=-1)
         return position + scales.dt * (velocity + farther), velocity + faster
 
     def rollout(
         self,
-        scene: SceneInputs,
+        nodes: Nodes,
         position: Float[Array, "N G"],
         velocity: Float[Array, "N G"],
         controls: Float[Array, "H U"],
@@ -119,10 +146,18 @@ class InteractionNetwork(eqx.Module):
         """The positions and velocities after each of the steps under ``controls``."""
 
         def advance(state: tuple[Array, Array], control: Array) -> tuple[tuple, tuple]:
-            after = self.step(scene, *state, control)
+            after = self.step(nodes, *state, control)
             return after, after
 
         return jax.lax.scan(advance, (position, velocity), controls)[1]
+
+
+def links(nodes: Nodes) -> Bool[Array, "N N"]:
+    """Pairs that send each other messages."""
+    mask = jnp.asarray(nodes.mask)
+    first, second = pair_indices(len(mask)).T
+    linked = jnp.zeros((len(mask), len(mask)), bool).at[first, second].set(nodes.candidate)
+    return (linked | linked.T) & mask[:, None] & mask
 
 
 def _length(offset: Array) -> Array:

@@ -179,17 +179,6 @@ class MPCPolicy:
 
     def record(self) -> EpisodeRecord:
         """Plans and beliefs since `reset`. Raises `InvalidInputError` before the first step."""
-        return self._record()
-
-    def latest(self) -> EpisodeRecord:
-        """The record of the last step alone; those before it are forgotten.
-
-        Raises `InvalidInputError` before the first step.
-        """
-        del self._steps[:-1]
-        return self._record()
-
-    def _record(self) -> EpisodeRecord:
         if self._scene is None or not self._steps:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
         count, dt = self._scene.node_count, self._scene.dt
@@ -214,6 +203,11 @@ class MPCPolicy:
                 [probabilities(each.estimated, each.node_ids) for each in self._steps]
             ),
         )
+
+    def latest(self) -> EpisodeRecord:
+        """The `record` of the last step alone; those before it are forgotten."""
+        del self._steps[:-1]
+        return self.record()
 
     def _contacts(self, observation: Observation) -> np.ndarray | None:
         if self._sensor is None:

@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory, with_edge_labels
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    Trajectory,
+    strip_contacts,
+    with_edge_labels,
+)
 from contactgraph.data.dataset import near_origin
 from contactgraph.evaluate.baselines import (
     Baseline,
@@ -15,8 +21,6 @@ from contactgraph.evaluate.baselines import (
     fixed_contact_oracle,
     standing_still,
 )
-from contactgraph.evaluate.calibration import Calibration
-from contactgraph.evaluate.edge_scores import EdgeCounts
 from contactgraph.evaluate.mass_scores import mass_numbers
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail, WindowPredictions
 from contactgraph.evaluate.open_loop_metrics import (
@@ -35,6 +39,7 @@ from contactgraph.evaluate.open_loop_metrics import (
 )
 from contactgraph.evaluate.prediction_windows import trajectory_detail
 from contactgraph.evaluate.sensor_faults import SensorFaults
+from contactgraph.evaluate.statistics import Sums
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
     ContactSensor,
@@ -78,6 +83,7 @@ def evaluate_open_loop(
     motion_noise: MotionNoise | None = None,
     baselines: Mapping[str, Baseline] | None = None,
     metrics: Mapping[str, Metric] | None = None,
+    last_window_of: Sequence[int] = (),
 ) -> OpenLoopMetrics:
     """Predicts ``horizon_s`` [s] ahead from every state of every trajectory that is long enough.
 
@@ -94,7 +100,8 @@ def evaluate_open_loop(
     motion corrects the belief, too, and beliefs corrected by motion alone are evaluated besides.
     ``baselines``: predictions beside those without fitting, by name (``least_squares`` and ``gnn``
     are null otherwise). ``metrics``: further metrics by name, each a function of the
-    `OpenLoopDetail`.
+    `OpenLoopDetail`. ``last_window_of``: the episode that each trajectory belongs to, by index, and
+    only the last window of each trajectory is predicted: see `forced_windows`.
 
     Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
@@ -112,13 +119,14 @@ def evaluate_open_loop(
         sensor = default_sensor(model) if faults.exact else faults.sensor
     sensor = replace(sensor, reports_touch=labelled is dataset)
     dataset = near_origin(labelled)
-    known = all(each.contact is not None for each in dataset)
-    if not (known or faults.exact):
-        lacking = sum(each.contact is None for each in dataset)
+    lacking = sum(each.contact is None for each in dataset)
+    if lacking and not faults.exact:
         raise InvalidInputError(
             f"faults spoil measured contacts, but {lacking} of {len(dataset)} trajectories have no "
             f"contact field; it must be in every trajectory"
         )
+    if lacking:
+        dataset = strip_contacts(dataset)
     lists = ReallocatingModel(model, dataset)
     detail = _concatenated(
         [
@@ -128,18 +136,23 @@ def evaluate_open_loop(
                 index,
                 steps,
                 sensor,
-                _reported(each, faults, index) if known else None,
+                faults,
                 {**_BASELINES, **(baselines or {})},
                 motion_noise,
+                last=bool(last_window_of),
             )
             for index, each in enumerate(dataset)
             if each.steps >= steps
         ]
     )
+    types = [each.scene.node_type for each in dataset]
+    if last_window_of:
+        types = list(dict(zip(last_window_of, types, strict=True)).values())
+        detail = replace(detail, trajectory=np.array(last_window_of))
     errors = error_numbers(detail)
     diverged = ~np.isfinite(detail.measured.squared_error).all(axis=(1, 2))
     found = OpenLoopMetrics(
-        runs=len(dataset),
+        runs=len(types),
         windows=len(detail.start),
         n_steps=steps,
         diverged_windows=int(diverged.sum()),
@@ -157,8 +170,8 @@ def evaluate_open_loop(
             {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
         ),
         detail=detail,
-        by_type=numbers_by_type(detail, [each.scene.node_type for each in dataset]),
-        by_run=errors_by_run(detail, len(dataset)),
+        by_type=numbers_by_type(detail, types),
+        by_run=errors_by_run(detail, len(types)),
     )
     taken = sorted(found.to_json().keys() & (metrics or {}))
     if taken:
@@ -183,12 +196,6 @@ def horizon_steps(dataset: Dataset, horizon_s: float | None) -> int:
     return steps
 
 
-def _reported(trajectory: Trajectory, faults: SensorFaults, index: int) -> np.ndarray | None:
-    if trajectory.contact is None:
-        return None
-    return faults.reported(trajectory.contact, trajectory.scene, index)
-
-
 def _concatenated(parts: Sequence[Any]) -> Any:
     """Arrays one after the other, counts added, field by field; None where any part has None."""
     first = parts[0]
@@ -196,9 +203,7 @@ def _concatenated(parts: Sequence[Any]) -> Any:
         return None
     if isinstance(first, np.ndarray):
         return np.concatenate(parts)
-    if isinstance(first, EdgeCounts):
-        return sum(parts, EdgeCounts())
-    if isinstance(first, Calibration):
+    if isinstance(first, Sums):
         return sum(parts[1:], first)
     if isinstance(first, dict):
         return {name: _concatenated([each[name] for each in parts]) for name in first}

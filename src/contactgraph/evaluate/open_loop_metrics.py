@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from contactgraph.evaluate.calibration import Calibration
-from contactgraph.evaluate.edge_scores import edge_scores
+from contactgraph.evaluate.edge_scores import edge_counts, switch_time_errors
 from contactgraph.evaluate.open_loop_detail import OpenLoopDetail
-from contactgraph.evaluate.statistics import finite_or_none, number_or_word
+from contactgraph.evaluate.statistics import finite_or_none, moving_errors, number_or_word
 
 ORACLE = "frozen_contact"
 """The baseline that knows masses and contacts; no verdict depends on it."""
@@ -67,8 +67,8 @@ class OpenLoopMetrics:
     def to_json(self) -> dict[str, Any]:
         """All results by name; None for those that are not known or not finite.
 
-        Besides `numbers`, `Calibration.reliability` under the keys ``reliability…``, with the
-        endings of `calibration_numbers`.
+        Besides `numbers`, `error_intervals`, and under the keys ``reliability…``, with the endings
+        of `calibration_numbers`, `Calibration.reliability`.
         """
         numbers = {**self.numbers, **self.extra}
         finite = {name: finite_or_none(value) for name, value in numbers.items()}
@@ -80,7 +80,8 @@ class OpenLoopMetrics:
         }
         named = {name: getattr(self, name) for name in counts}
         by_run = {"n_step_rmse_moving_by_run_m": list(self.by_run)}
-        return {**finite, **reliability, **self.by_type, **by_run, "verdict": verdict, **named}
+        found = {**error_intervals(self.detail), **finite, **reliability, **self.by_type}
+        return {**found, **by_run, "verdict": verdict, **named}
 
 
 def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
@@ -99,19 +100,39 @@ def error_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
         "_free": None if changes is None else ~changes,
         "_contact": changes,
     }
-    inferred = None if detail.inferred is None else detail.inferred.squared_error
-    squared = {
-        ("n_step", ""): detail.measured.squared_error,
-        **{(name, ""): error for name, error in detail.baselines.items()},
-        ("n_step", "_unmeasured"): detail.unmeasured.squared_error,
-        ("n_step", "_inferred"): inferred,
-    }
     return {
         f"{name}_rmse{subset}{beliefs}_m": None
         if error is None or windows is None
         else detail.rmse(error, windows)
         for subset, windows in chosen.items()
-        for (name, beliefs), error in squared.items()
+        for (name, beliefs), error in _squared_errors(detail).items()
+    }
+
+
+def error_intervals(detail: OpenLoopDetail) -> dict[str, float | list[float | None] | None]:
+    """`moving_errors` of the predictions of `error_numbers` that are known.
+
+    The keys are ``{prediction}_{statistic}_moving{beliefs}_m``.
+    """
+    return {
+        f"{name}_{statistic}_moving{beliefs}_m": value
+        for (name, beliefs), error in _squared_errors(detail).items()
+        if error is not None
+        for statistic, value in moving_errors(
+            np.sum(error.mean(axis=1), axis=1, where=detail.moves),
+            detail.moves.sum(axis=1),
+            detail.trajectory,
+        ).items()
+    }
+
+
+def _squared_errors(detail: OpenLoopDetail) -> dict[tuple[str, str], np.ndarray | None]:
+    """[W, H, N] m^2, by prediction and beliefs."""
+    return {
+        ("n_step", ""): detail.measured.squared_error,
+        **{(name, ""): error for name, error in detail.baselines.items()},
+        ("n_step", "_unmeasured"): detail.unmeasured.squared_error,
+        ("n_step", "_inferred"): None if detail.inferred is None else detail.inferred.squared_error,
     }
 
 
@@ -194,28 +215,28 @@ def errors_by_run(detail: OpenLoopDetail, runs: int) -> list[float | str | None]
 
 
 def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
-    """Scores of predicted edges over the steps of all windows, see `EdgeScores`.
+    """Scores of predicted edges over the steps of all windows, see `EdgeCounts`.
 
-    ``edge_…_now`` are of the beliefs about the step just made, corrected by what was observed after
-    it, against the label of the state that it reached, in every state but a trajectory's first.
-    ``_unmeasured`` and ``_inferred`` as in `error_numbers`.
+    ``edge_on_time`` is the share of touches predicted, from the state just before, for the very
+    step of the touch, ``switch_time_error_s`` the mean of `switch_time_errors`. ``edge_…_now`` are
+    of the beliefs about the step just made, corrected by what was observed after it, against the
+    label of the state that it reached, in every state but a trajectory's first. ``_unmeasured`` and
+    ``_inferred`` as in `error_numbers`.
     """
     numbers: dict[str, float | None] = {}
     for beliefs in ("", "_unmeasured", "_inferred"):
         found = getattr(detail, beliefs.removeprefix("_") or "measured")
-        scores = now = None
+        counts = now = on_time = late = None
         if detail.contact is not None and found is not None:
-            exists, now = detail.edge_exists, found.now
-            scores = edge_scores(
-                found.edge_active, detail.contact, exists, found.touch_on_time, detail.dt
-            )
-        counts = None if scores is None else scores.counts
+            edges, exists, now = found.edge_active, detail.edge_exists, found.now
+            counts = edge_counts(edges, detail.contact[:, 1:], exists)
+            steps_late = switch_time_errors(edges, detail.contact, exists)
+            late = detail.dt * float(steps_late.mean()) if len(steps_late) else None
+            on_time = float(found.touch_on_time.mean()) if len(found.touch_on_time) else None
         for name in ("precision", "recall", "f1", "accuracy", "false_alarm_rate"):
             numbers[f"edge_{name}{beliefs}"] = getattr(counts, name, None)
         for name in ("precision", "recall", "f1", "accuracy"):
             numbers[f"edge_{name}_now{beliefs}"] = getattr(now, name, None)
-        on_time = None if scores is None else scores.on_time
-        late = None if scores is None else scores.switch_time_error_s
         numbers |= {f"edge_on_time{beliefs}": on_time, f"switch_time_error{beliefs}_s": late}
     return numbers
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from contactgraph.control import Plan, PlanStatus
 from contactgraph.data import Trajectory, edge_id, moving_bodies, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
-from contactgraph.evaluate.statistics import finite_or_none, number_or_word
+from contactgraph.evaluate.statistics import Sums, finite_or_none, number_or_word
 from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief
 
@@ -42,14 +41,11 @@ class EpisodeRecord:
 
 
 @dataclass(frozen=True)
-class SquaredError:
+class SquaredError(Sums):
     """A sum of squared distances, m^2, and their number; those of several episodes add up."""
 
     total: float = 0.0
     count: int = 0
-
-    def __add__(self, other: "SquaredError") -> "SquaredError":
-        return SquaredError(self.total + other.total, self.count + other.count)
 
     @property
     def rmse(self) -> float | None:
@@ -57,11 +53,8 @@ class SquaredError:
         return math.sqrt(self.total / self.count) if self.count else None
 
 
-_Counts = TypeVar("_Counts", SquaredError, EdgeCounts)
-
-
 @dataclass(frozen=True)
-class PlanTrackingError:
+class PlanTrackingError(Sums):
     """The paper's N-step error of executed plans; those of several episodes add up.
 
     A window begins with every plan that was made from an observation and then followed by its
@@ -86,18 +79,6 @@ class PlanTrackingError:
     by_episode: tuple[float | None, ...] = ()
     """m: `rmse_moving` of each episode."""
 
-    def __add__(self, other: "PlanTrackingError") -> "PlanTrackingError":
-        return PlanTrackingError(
-            windows=self.windows + other.windows,
-            moved_objects=self.moved_objects + other.moved_objects,
-            planned_moving=self.planned_moving + other.planned_moving,
-            planned=self.planned + other.planned,
-            constant_velocity=self.constant_velocity + other.constant_velocity,
-            fixed_contact=_sum(self.fixed_contact, other.fixed_contact),
-            edges=_sum(self.edges, other.edges),
-            by_episode=self.by_episode + other.by_episode,
-        )
-
     @property
     def rmse_moving(self) -> float | None:
         """m, of the nodes that move. None where no object does: resting ones are easy to plan."""
@@ -111,16 +92,15 @@ class PlanTrackingError:
     def to_json(self) -> dict[str, float | int | list[float | str | None] | None]:
         """All numbers by name; None for those that are not known or not finite; in the list
         ``infinite`` for the latter."""
-        fixed, edges = self.fixed_contact, self.edges
         numbers = {
             "n_step_rmse_planned_moving_m": self.rmse_moving,
             "n_step_rmse_planned_m": self.rmse,
             "constant_velocity_planned_rmse_m": self.constant_velocity.rmse,
-            "frozen_contact_planned_rmse_m": None if fixed is None else fixed.rmse,
-            "edge_precision_planned": None if edges is None else edges.precision,
-            "edge_recall_planned": None if edges is None else edges.recall,
-            "edge_f1_planned": None if edges is None else edges.f1,
-            "edge_accuracy_planned": None if edges is None else edges.accuracy,
+            "frozen_contact_planned_rmse_m": getattr(self.fixed_contact, "rmse", None),
+            **{
+                f"edge_{score}_planned": getattr(self.edges, score, None)
+                for score in ("precision", "recall", "f1", "accuracy")
+            },
         }
         return {
             "planned_windows": self.windows,
@@ -171,11 +151,6 @@ def plan_tracking_error(trajectory: Trajectory, record: EpisodeRecord) -> PlanTr
         edges=_edges(trajectory, record.plan_belief[starts, :steps], ahead),
     )
     return replace(found, by_episode=(found.rmse_moving,))
-
-
-def _sum(one: _Counts | None, other: _Counts | None) -> _Counts | None:
-    """Known where both are."""
-    return None if one is None or other is None else one + other
 
 
 def _followed(status: np.ndarray, steps: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from contactgraph.cli.task_types import TestCondition
-from contactgraph_studies.bootstrap import Estimate, Sample, Verdict, all_hold, estimate
+from contactgraph_studies.bootstrap import Estimate, Sample, Verdict, all_hold, estimate, mean
 from contactgraph_studies.paper import jobs, statements
 from contactgraph_studies.paper.config import (
     Amounts,
@@ -15,7 +15,7 @@ from contactgraph_studies.paper.config import (
     StudyTask,
     families_of,
 )
-from contactgraph_studies.paper.jobs import Source, closed_error, number, open_error, success
+from contactgraph_studies.paper.jobs import Source, closed_error, condition_of, open_error
 from contactgraph_studies.results import SLOWEST_MS, Quantity, Results, Values
 from contactgraph_studies.study import Claim
 
@@ -79,17 +79,18 @@ class _Evidence:
         self, model: StudyModel, source: Source, scenes: TestCondition | None = None
     ) -> Sample:
         """In distribution, or in other scenes."""
-        return success(self._results, self.task, model, scenes or self.task.as_trained, source)
+        condition = condition_of(source, self.task, model, scenes or self.task.as_trained)
+        return self._results.scene_sample(condition, jobs.SUCCESS_BY_EPISODE, mean)
 
     def opened(self, model: StudyModel, runs: int) -> Sample:
         """Out of distribution, by number of training trajectories."""
-        return open_error(self._results, self.task, model, self.task.hardest, runs)
+        return open_error(self._results, self.task, model, runs)
 
     def number(
         self, model: StudyModel, scenes: TestCondition, quantity: Quantity, source: Source
     ) -> Sample:
         """One number of each training."""
-        return number(self._results, self.task, model, scenes, quantity, source)
+        return self._results.sample(condition_of(source, self.task, model, scenes), quantity)
 
 
 def _small_in_distribution(of: _Evidence) -> Iterator[Verdict]:

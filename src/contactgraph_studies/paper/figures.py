@@ -166,10 +166,7 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
     for axes, task in zip(panels, tasks, strict=True):
         for family in task.families:
             for model in (family.gim_temp, family.no_gim_aug):
-                every = [
-                    estimate([open_error(results, task, model, task.hardest, size)])
-                    for size in sizes
-                ]
+                every = [estimate([open_error(results, task, model, size)]) for size in sizes]
                 drawn = [one.value for one in every]
                 ranges = [[one.value - one.low for one in every]]
                 ranges += [[one.high - one.value for one in every]]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.task_types import TestCondition
-from contactgraph_studies.bootstrap import Sample, mean, root_mean_square
+from contactgraph_studies.bootstrap import Sample, root_mean_square
 from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
     FAMILIES,
@@ -242,52 +242,16 @@ def _with_held_out(runs: int) -> int:
     return round(runs / 0.8)
 
 
-def main_number(results: Results, condition: ModelCondition) -> Sample:
-    """What a test is made for: an error of moving bodies, success, or the accuracy of edges."""
-    match condition.source:
-        case Source.planned:
-            return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
-        case Source.every_step | Source.long_plan:
-            return results.scene_sample(condition, SUCCESS_BY_EPISODE, mean)
-        case Source.faults:
-            return results.sample(condition, EDGE_ACCURACY)
-    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)
-
-
 def closed_error(
     results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition
 ) -> Sample:
     """Planned against executed positions over the bodies that move, cm."""
-    return main_number(results, condition_of(Source.planned, task, model, scenes))
+    condition = planned(task, model, scenes)
+    return results.scene_sample(condition, PLANNED_BY_EPISODE, root_mean_square)
 
 
-def open_error(
-    results: Results,
-    task: StudyTask,
-    model: StudyModel,
-    scenes: TestCondition,
-    runs: int | None = None,
-) -> Sample:
-    """Open-loop error over the bodies that move, cm; by number of training trajectories."""
-    source = Source.recorded if runs is None else Source.samples
-    return main_number(results, condition_of(source, task, model, scenes, training_runs=runs))
-
-
-def success(
-    results: Results, task: StudyTask, model: StudyModel, scenes: TestCondition, source: Source
-) -> Sample:
-    """Success of closed-loop episodes, %."""
-    condition = condition_of(source, task, model, scenes)
-    return results.scene_sample(condition, SUCCESS_BY_EPISODE, mean)
-
-
-def number(
-    results: Results,
-    task: StudyTask,
-    model: StudyModel,
-    scenes: TestCondition,
-    quantity: Quantity,
-    source: Source,
-) -> Sample:
-    """One number of each training."""
-    return results.sample(condition_of(source, task, model, scenes), quantity)
+def open_error(results: Results, task: StudyTask, model: StudyModel, runs: int) -> Sample:
+    """Open-loop error out of distribution over the bodies that move, cm, by number of training
+    trajectories."""
+    condition = condition_of(Source.samples, task, model, task.hardest, training_runs=runs)
+    return results.scene_sample(condition, RECORDED_BY_RUN, root_mean_square)

@@ -99,7 +99,8 @@ class PlanarWorld:
         self._count = len(bodies)
         self._joined: set[Pair] = set()
         self._touched: set[Pair] = set()
-        self._hold = hold
+        self.hold = hold
+        """The rule that ties bodies together; copies have the one of the start."""
         self._under_rule = True
         if hold is not None:
             hold.reset(self)
@@ -164,8 +165,8 @@ class PlanarWorld:
         for _ in range(self._substeps):
             self._engine.advance(force)
             self._touched |= self._engine.touching
-            if self._hold is not None:
-                self._hold.update(self, self._substep_time)
+            if self.hold is not None:
+                self.hold.update(self, self._substep_time)
         self._under_rule = False
 
     def join(self, first: int, second: int) -> None:

@@ -1,0 +1,113 @@
+"""Forced windows: recorded episodes, simulated on from their states under random controls.
+
+The controls of an expert that sees what is hidden tell it: one that pulls at a body holds it. A
+constant control that is drawn at random tells nothing, so only beliefs from the past can help.
+"""
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+
+from contactgraph.data import Dataset, InvalidInputError, Trajectory
+from contactgraph.data.schema import given_fields
+from contactgraph.envs.contract import Observation, Task
+from contactgraph.envs.episodes import EpisodeStates
+
+EVERY = 12
+"""States from the start of one window to that of the next."""
+FORCES = (0.5, 3.0)
+"""The weakest and the strongest forced control, N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A task in a state of a recorded episode, and the control under which it goes on."""
+
+    recorded: Trajectory
+    start: int
+    """The state."""
+    task: Task
+    """In that state, with all that is hidden."""
+    observation: Observation
+    """Of that state."""
+    control: np.ndarray
+    """[U] N, constant."""
+
+    def trajectory(self, steps: int) -> Trajectory:
+        """The recorded states before the start, then ``steps`` steps of the task from there."""
+        states = EpisodeStates(self.task, self.observation)
+        for _ in range(steps):
+            states.add(self.task.step(self.control)[0])
+        after = states.trajectory(np.tile(self.control, (steps, 1)), self.recorded.scene)
+        whole: dict[str, Any] = {
+            name: np.concatenate([getattr(self.recorded, name)[: self.start], getattr(after, name)])
+            for name in given_fields(after)
+        }
+        return replace(after, **whole)
+
+
+def branches(
+    task: Task, trajectory: Trajectory, steps: int, rng: np.random.Generator, every: int = EVERY
+) -> Iterator[Branch]:
+    """Replays a recorded episode in its ``task``, and branches off in every ``every``-th state.
+
+    There are ``steps`` steps left from each of these states. A control is uniform in its direction
+    and, from 0.5 to 3 N, in its strength, within the task's bounds; switches are on or off. Raises
+    `InvalidInputError` where the replay differs from the recording or the control is no force.
+    """
+    scene, recorded = trajectory.scene, trajectory.control
+    kinds = scene.control_kind or ("force",) * trajectory.control_size
+    if not kinds or not set(kinds) <= {"force", "switch"}:
+        found = ", ".join(sorted(set(kinds))) or "nothing"
+        raise InvalidInputError(f"forced windows need controls that are forces, found {found}")
+    seed = cast(int, scene.metadata.get("seed"))
+    observation, _ = task.reset(seed=seed)
+    for state in range(trajectory.steps + 1):
+        for name in ("position", "velocity"):
+            if not np.array_equal(observation[name], getattr(trajectory, name)[state]):
+                raise InvalidInputError(
+                    f"forced windows need a replay, but that of the episode of seed {seed} differs "
+                    f"from the recording: {name} in state {state} of {trajectory.steps}"
+                )
+        if state % every == 0 and state + steps <= trajectory.steps:
+            control = _drawn(kinds, cast(gymnasium.spaces.Box, task.action_space), rng)
+            yield Branch(trajectory, state, copy.deepcopy(task), observation, control)
+        if state < trajectory.steps:
+            observation = task.step(recorded[state])[0]
+
+
+def _drawn(
+    kinds: tuple[str, ...], bounds: gymnasium.spaces.Box, rng: np.random.Generator
+) -> np.ndarray:
+    """[U] N."""
+    force = np.array([kind == "force" for kind in kinds])
+    direction = rng.normal(size=len(kinds)) * force
+    strength = rng.uniform(*FORCES) / np.linalg.norm(direction)
+    switched = rng.integers(2, size=len(kinds))
+    return np.clip(np.where(force, strength * direction, switched), bounds.low, bounds.high)
+
+
+def controls_of(episode: int) -> np.random.Generator:
+    """Draws the controls of the forced windows of an episode, by its index in the dataset."""
+    return np.random.default_rng([0, episode])
+
+
+def forced_windows(
+    dataset: Dataset, task_of: Callable[[Trajectory], Task], steps: int, every: int = EVERY
+) -> tuple[Dataset, tuple[int, ...]]:
+    """A trajectory for each forced window, which is its end, and the index of its episode.
+
+    The windows have ``steps`` steps, from every ``every``-th state of every episode on: see
+    `branches`. ``task_of`` makes the task of an episode. Raises `InvalidInputError` as `branches`.
+    """
+    windows = [
+        (index, branch.trajectory(steps))
+        for index, each in enumerate(dataset)
+        for branch in branches(task_of(each), each, steps, controls_of(index), every)
+    ]
+    episode, trajectories = zip(*windows, strict=True)
+    return replace(dataset, trajectories=trajectories), episode
