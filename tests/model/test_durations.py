@@ -16,8 +16,7 @@ from contactgraph.inference.contact_belief import (
     posterior_by_motion,
     without_change,
 )
-from contactgraph.inference.durations import EdgeAges, aged, smoothed_flows
-from contactgraph.inference.edge_inference import PriorEdges
+from contactgraph.inference.edge_inference import EdgeAges, PriorEdges, aged, smoothed_flows
 from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
     HOLD,

@@ -80,7 +80,7 @@ class Train:
     prior_weight: float = 0.05
     """Weight, for these, of the KL divergence of beliefs from the distance prior."""
     use_contacts: bool = False
-    """Also correct a filter in training by recorded contacts, with random errors and delays."""
+    """Recorded contacts are evidence of training, too, beside the motion."""
     sensor: Annotated[str, arg(metavar="NAME")] = "exact"
     """Contact sensor that is stored in the model: exact, or estimate, by the trained filter from
     the recorded contacts."""

@@ -1,71 +1,39 @@
-"""Inference of active edges: their prior and weight by distance, and beliefs from step to step."""
+"""Inference of active edges: beliefs about their types from step to step."""
 
-import math
+import dataclasses
 from abc import abstractmethod
+from functools import partial
+from typing import Self, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.graph import HOLD, EdgeType
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.data.trajectory_batch import Nodes
-from contactgraph.inference.contact_belief import ContactBelief
+from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory
+from contactgraph.inference.features import approach_gap_and_switches
 
-
-class ClosestApproachPrior(eqx.Module):
-    r"""Probability of contact from the closest approach of two nodes within the step.
-
-    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
-
-    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
-    closest approach in the next step: the edge of a step must already be active when bodies touch
-    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
-    because an unknown force may bring bodies together or keep them apart.
-    """
-
-    margin: float = eqx.field(static=True, default=1.03)
-    """$m$; factor on the contact distance below which nodes count as touching."""
-    sharpness: float = eqx.field(static=True, default=0.02)
-    """$s$."""
-    min_probability: float = eqx.field(static=True, default=0.01)
-    r"""$\epsilon$."""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Prior probability that each edge is active."""
-        touch = jax.lax.stop_gradient(geometry.contact_distance)
-        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
-        spread = 1.0 - 2.0 * self.min_probability
-        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
-
-
-class SmoothCutoff(eqx.Module):
-    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
-
-    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
-    """
-
-    inner: float = eqx.field(static=True, default=0.15)
-    outer: float = eqx.field(static=True, default=0.25)
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight of each edge in [0, 1], by its closest approach in the step."""
-        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
-        fraction = jnp.clip(fraction, 0.0, 1.0)
-        return fraction**2 * (3.0 - 2.0 * fraction)
-
-
-class NoCutoff(eqx.Module):
-    """Weight 1 at every distance: the paper's all-pairs inference."""
-
-    outer: float = eqx.field(static=True, default=math.inf)
-    """m"""
-
-    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
-        """Weight 1 for every edge."""
-        return jnp.ones_like(geometry.distance)
+_AGES = 44
+"""Ages that are told apart, in steps; the last stands for all longer ones."""
+_STAGES = np.array([0.5, 1.5, 3.5, 7.5, 14.5, 22.5, 32.5])
+"""Ages at which the `DurationEdges.stages` begin at the start of training."""
+_PACE = 10.0
+"""Scale of the log odds by age in their parameters, so that they learn as fast as networks."""
+_LASTS, _BEGINS = 7.0, -2.3
+"""Log odds, beside those of geometry, that what holds lasts, and that a hold begins, before
+training."""
+_TOUCHES, _STAYS_FREE = 3.0, 6.0
+"""Log odds, beside those of geometry, that a touch of bodies without a gap lasts, and that such
+bodies which are free stay so while they do not approach each other. They are not learned: motion
+hardly tells a touch from none."""
+_UNBOUNDED = 0.1
+"""Share of the gradient that is kept beyond the least transition."""
+_MIN_PROBABILITY = 1e-6
 
 
 class EdgeInference(eqx.Module):
@@ -147,6 +115,245 @@ class EdgeInference(eqx.Module):
     ) -> Float[Array, "2 E G"]:
         """What `embed` is given of every edge: by default the model's edge ``features`` alone."""
         return features
+
+
+class EdgeAges(EdgeMemory):
+    """For how many steps the edges have had their types."""
+
+    age: Float[Array, "*T E K A"]
+    """Probability of each age if an edge has the type, 0 where nothing is known of it: then what is
+    free has been so for long, and what is active has just begun."""
+
+    def after_motion(
+        self,
+        joint: Float[Array, "E K K"],
+        posterior: Float[Array, "E K K"],
+        evidence: Bool[Array, "E 1"],
+    ) -> Self:
+        """Bayes' rule: a type that has begun in the step has age 0, one that lasts has not."""
+        before, after = _begins_or_lasts(joint), _begins_or_lasts(posterior)
+        change = after / jnp.maximum(before, _MIN_PROBABILITY)
+        change = jnp.repeat(change, np.array([1, self.age.shape[-1] - 1]), axis=-1)
+        age = jnp.where(evidence[..., None], _normalised(self.age * change), self.age)
+        return dataclasses.replace(self, age=age.astype(self.age.dtype))
+
+
+def _begins_or_lasts(joint: Float[Array, "E K K"]) -> Float[Array, "E K 2"]:
+    """Probability that an edge has a type after the step only, and after and before it."""
+    lasts = jnp.einsum("ekk->ek", joint)
+    return jnp.stack([jnp.sum(joint, axis=1) - lasts, lasts], axis=-1)
+
+
+def _normalised(values: Float[Array, "*T A"]) -> Float[Array, "*T A"]:
+    """Shares of the sum; 0 where all are."""
+    total = jnp.sum(values, axis=-1, keepdims=True)
+    return values / jnp.where(total > 0, total, 1.0)
+
+
+def aged(flow: Float[Array, "E K A K"]) -> Float[Array, "E K A"]:
+    """The probability of each type and age after a step, from that of each type and age before it
+    and type after it."""
+    lasting = jnp.einsum("ekak->eka", flow)
+    begun = jnp.sum(flow, axis=(1, 2)) - jnp.sum(lasting, axis=-1)
+    table = jnp.concatenate([begun[..., None], lasting], axis=-1)
+    longest = jnp.sum(table[..., -2:], axis=-1, keepdims=True)
+    return jnp.concatenate([table[..., :-2], longest], axis=-1)
+
+
+class DurationEdges(EdgeInference):
+    r"""An explicit-duration hidden Markov model (hidden semi-Markov model) for every edge.
+
+    The belief is a table over types k and ages a, the steps for which an edge has had its type.
+    With the geometric prior q of the step and features f of the edge,
+
+    $$ F_{ka \to j} = b_{ka} T_{kaj}, \quad
+       T_{kaj} = \mathrm{softmax}_j\big(\log q_j + \beta_{kaj} + \textstyle\sum_m U_{kjm}(f)
+       B_{kam}\big), \quad
+       b'_{j0} = \sum_{k \ne j, a} F_{ka \to j}, \quad b'_{j,a+1} = F_{ja \to j}, $$
+
+    and every T is at least `min_transition`. A touch is over where there is a gap before the step.
+    So a contact may last for exactly known times (Yu 2010, Hidden semi-Markov models). Geometry q
+    says whether the bodies meet in the step under the command that is given. The features are the
+    gap before the step, the types of the ends and the switches of actuated ends: no force, because
+    what a planner intends is no evidence of contact.
+    """
+
+    message_passing: EdgeNetwork
+    coefficients: eqx.nn.Linear
+    stages: Float[Array, "K A M"]
+    """B."""
+    odds: Float[Array, "K A H"]
+    r"""$\beta$ of the types that hold, in units of `_PACE`."""
+    edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
+    node_types: int = eqx.field(static=True)
+    min_transition: float = eqx.field(static=True)
+    """Least probability of any transition in a step: no type is certain to last, or to change."""
+
+    def __init__(
+        self,
+        width: int,
+        *,
+        node_types: int,
+        edge_types: tuple[EdgeType, ...] = (HOLD,),
+        commands: int = 0,
+        min_transition: float = 2e-3,
+        key: PRNGKeyArray,
+    ):
+        """``width``: of the network of the features; ``commands``: the switches."""
+        count, stages = 1 + len(edge_types), 1 + len(_STAGES)
+        network_key, key = jax.random.split(key)
+        self.message_passing = EdgeNetwork(2 + commands + node_types, width, key=network_key)
+        holds = np.flatnonzero([False, *(not each.unilateral for each in edge_types)])
+        last = eqx.nn.Linear(width, count * len(holds) * stages, key=key)
+        self.coefficients = eqx.tree_at(
+            lambda each: (each.weight, each.bias), last, replace_fn=jnp.zeros_like
+        )
+        age = np.arange(_AGES)[:, None]
+        begun = 1.0 / (1.0 + np.exp(np.clip(4.0 * (_STAGES - age), -50.0, 50.0)))
+        begun = np.concatenate([np.ones((_AGES, 1)), begun], axis=1)
+        self.stages = jnp.asarray(np.repeat(begun[None], count, axis=0), float)
+        odds = np.full((count, _AGES, len(holds)), _BEGINS)
+        odds[holds, :, np.arange(len(holds))] = _LASTS
+        self.odds = jnp.asarray(odds / _PACE, float)
+        self.edge_types = edge_types
+        self.node_types = node_types
+        self.commands = commands
+        self.min_transition = min_transition
+
+    @property
+    def networks(self) -> list[MessagePassing | EdgeNetwork]:
+        """That of the features."""
+        return [self.message_passing]
+
+    def edge_inputs(
+        self,
+        features: Float[Array, "2 E F"],
+        geometry: Geometry,
+        nodes: Nodes,
+        command: Float[Array, " U"],
+    ) -> Float[Array, "2 E G"]:
+        """Approach, gap, and the switches of actuated ends."""
+        switches = command[len(command) - self.commands :]
+        known = approach_gap_and_switches(geometry, nodes, switches).astype(features.dtype)
+        return jnp.stack([known, known])
+
+    def embed(
+        self,
+        node: Float[Array, "N F"],
+        edge: Float[Array, "2 E G"],
+        weight: Float[Array, " E"],
+        edge_index: Int[Array, "2 E"],
+    ) -> Float[Array, "E M"]:
+        """Embedded features of every edge, its approach, which is none, and its gap; the types come
+        first in ``node``."""
+        ends = jnp.sum(node[edge_index, : self.node_types], axis=0)
+        known = jnp.concatenate([edge, jnp.broadcast_to(ends, (2, *ends.shape))], axis=-1)
+        _, message = self.message_passing(node, known[..., 1:], weight, edge_index)
+        return jnp.concatenate([message[0], edge[0, :, :2]], axis=-1)
+
+    def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
+        """The geometric prior, of unknown ages."""
+        age = jnp.zeros((*prior.shape, _AGES), prior.dtype)
+        return ContactBelief(prior, memory=EdgeAges(age), edge_types=self.edge_types)
+
+    def table(self, belief: ContactBelief) -> Float[Array, "E K A"]:
+        """The probability of each type and age."""
+        age = _normalised(cast(EdgeAges, belief.memory).age)
+        unknown = np.zeros(age.shape[-2:])
+        unknown[0, -1] = unknown[1:, 0] = 1.0
+        known = jnp.any(age > 0, axis=-1, keepdims=True)
+        return belief.type_probability[..., None] * jnp.where(known, age, unknown)
+
+    def parted(
+        self, table: Float[Array, "E K A"], embedding: Float[Array, "E M"]
+    ) -> Float[Array, "E K A"]:
+        """What touched is free where there is a gap before the step: its next touch is another."""
+        unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
+        ended = jnp.where(unilateral[:, None] & (embedding[:, -1:, None] > 0), table, 0.0)
+        return (table - ended).at[:, 0, 0].add(jnp.sum(ended, axis=(1, 2)))
+
+    def transitions(
+        self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> Float[Array, "E K A K"]:
+        """T: the probability of each type after the step, given type and age before it."""
+        (types, ages, holding), stages = self.odds.shape, self.stages.shape[-1]
+        features, (approaches, gap) = embedding[:, :-2], embedding[:, -2:].T
+        coefficients = jax.vmap(self.coefficients)(features).reshape(-1, types, holding, stages)
+        learned = jnp.einsum("ekhm,kam->ekah", coefficients, self.stages) + _PACE * self.odds
+        unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
+        lasts = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((len(gap), 1))
+        lasts = lasts.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
+        lasts = jnp.where(gap[:, None] > 0, 0.0, lasts)
+        rates = jnp.repeat((lasts[:, None] * np.eye(types))[:, :, None], ages, axis=2)
+        rates = rates.at[..., np.flatnonzero(~unilateral)[1:]].set(learned)
+        logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, None] + rates
+        return _bounded_softmax(logits, self.min_transition)
+
+    @property
+    def log_prior(self) -> Float[Array, ""]:
+        """Of the odds by age: neighbours differ by about 1."""
+        steps = jnp.diff(_PACE * self.odds, axis=1)
+        return -0.5 * jnp.sum(steps**2)
+
+    def predict(
+        self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
+    ) -> tuple[ContactBelief, Float[Array, "E K K"]]:
+        """The belief about the next step, and the probability of pairs of types."""
+        table = self.parted(self.table(belief), embedding)
+        flow = table[..., None] * self.transitions(embedding, prior)
+        joint, table = jnp.sum(flow, axis=2), aged(flow)
+        types = jnp.sum(joint, axis=1)
+        memory = EdgeAges(_normalised(table))
+        return ContactBelief(types, memory=memory, edge_types=self.edge_types), joint
+
+
+def _bounded_softmax(logits: Float[Array, "E K A K"], least: float) -> Float[Array, "E K A K"]:
+    """Softmax, at least ``least``; a part of its gradient is that without the bound.
+
+    Beyond the bound logits have no effect, and without any gradient they would never return.
+    """
+    unbounded = jax.nn.log_softmax(logits)
+    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
+    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
+
+
+def smoothed_flows(
+    inference: EdgeInference,
+    first: Float[Array, "E K A"],
+    embedding: Float[Array, "L E M"],
+    transitions: Float[Array, "L E K A K"],
+    log_ratio: Float[Array, "L E K K"],
+) -> Float[Array, "L E K A K"]:
+    """Probability of each type and age before every step and type after it, given all steps.
+
+    The forward and backward recursions (Rabiner 1989, section III) over the table of types and
+    ages; ``first`` is that before the first step, ``log_ratio`` the log-likelihood of each step's
+    observations given the types before and after it, up to a constant.
+    """
+    likelihood = jnp.exp(log_ratio - jnp.max(log_ratio, axis=(-2, -1), keepdims=True))
+    moved = transitions * likelihood[:, :, :, None]
+    same = np.eye(first.shape[1])[:, None]
+
+    def forward(table: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+        embedding, moved = step
+        table = inference.parted(table, embedding)
+        after = aged(table[..., None] * moved)
+        return after / jnp.sum(after, axis=(-2, -1), keepdims=True), table
+
+    def backward(after: Array, step: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        embedding, moved, table = step
+        longer = jnp.concatenate([after[..., 1:], after[..., -1:]], axis=-1)
+        begun = after[:, None, None, :, 0]
+        future = moved * (begun + same * (longer[..., None] - begun))
+        part = partial(inference.parted, embedding=embedding)
+        (before,) = jax.linear_transpose(part, table)(jnp.sum(future, axis=-1))
+        flow = table[..., None] * future
+        flow = flow / jnp.maximum(jnp.sum(flow, axis=(1, 2, 3), keepdims=True), _MIN_PROBABILITY**4)
+        return before / jnp.max(before, axis=(-2, -1), keepdims=True), flow
+
+    tables = jax.lax.scan(forward, first, (embedding, moved))[1]
+    steps = embedding, moved, tables
+    return jax.lax.scan(backward, jnp.ones_like(first), steps, reverse=True)[1]
 
 
 class PriorEdges(EdgeInference):

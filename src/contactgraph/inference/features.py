@@ -1,5 +1,6 @@
-"""Features of nodes and edges, the inputs of the networks."""
+"""Features of nodes and edges, the inputs of networks; prior and weight of edges by distance."""
 
+import math
 from abc import abstractmethod
 
 import equinox as eqx
@@ -19,7 +20,7 @@ _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 _PACE = 5.0
 """Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
-_TOUCHING, _GAPS = 0.001, (0.003, 0.03)
+_TOUCHING, _GAPS = 0.002, (0.003, 0.03)
 """Gap, in contact distances, of bodies that touch, at most, and approach in a step of such that
 rest; and those gaps beyond it at which bodies have just parted, and are merely near."""
 
@@ -224,6 +225,59 @@ def approach_gap_and_switches(
     approaches = (geometry.distance - geometry.closest_approach) / touch > _TOUCHING
     acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * switches
     return jnp.concatenate([approaches[:, None], gap / (np.array(_GAPS) + gap), acting], axis=-1)
+
+
+class ClosestApproachPrior(eqx.Module):
+    r"""Probability of contact from the closest approach of two nodes within the step.
+
+    $$ q = \epsilon + (1 - 2 \epsilon)\, \sigma\big( 2 (m \rho - d) / (s \rho) \big) $$
+
+    with $\rho$ the contact distance, which the model learns from impacts, and $d$ the distance of
+    closest approach in the next step: the edge of a step must already be active when bodies touch
+    *within* it. No gradient flows to $\rho$. The prior is never more certain than $\epsilon$,
+    because an unknown force may bring bodies together or keep them apart.
+    """
+
+    margin: float = eqx.field(static=True, default=1.003)
+    """$m$; factor on the contact distance below which nodes count as touching."""
+    sharpness: float = eqx.field(static=True, default=0.002)
+    """$s$."""
+    min_probability: float = eqx.field(static=True, default=0.01)
+    r"""$\epsilon$."""
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Prior probability that each edge is active."""
+        touch = jax.lax.stop_gradient(geometry.contact_distance)
+        margin = (self.margin * touch - geometry.closest_approach) / (self.sharpness * touch)
+        spread = 1.0 - 2.0 * self.min_probability
+        return self.min_probability + spread * jax.nn.sigmoid(2.0 * margin)
+
+
+class SmoothCutoff(eqx.Module):
+    """Weight of an edge by distance: 1 below `inner` [m], exactly 0 from `outer` [m] on.
+
+    A node beyond the cutoff of all others changes no prediction of theirs, exactly.
+    """
+
+    inner: float = eqx.field(static=True, default=0.15)
+    outer: float = eqx.field(static=True, default=0.25)
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Weight of each edge in [0, 1], by its closest approach in the step."""
+        fraction = (self.outer - geometry.closest_approach) / (self.outer - self.inner)
+        fraction = jnp.clip(fraction, 0.0, 1.0)
+        return fraction**2 * (3.0 - 2.0 * fraction)
+
+
+class NoCutoff(eqx.Module):
+    """Weight 1 at every distance: the paper's all-pairs inference."""
+
+    outer: float = eqx.field(static=True, default=math.inf)
+    """m"""
+
+    def __call__(self, geometry: Geometry) -> Float[Array, " E"]:
+        """Weight 1 for every edge."""
+        return jnp.ones_like(geometry.distance)
 
 
 def turn_length_of(model: object) -> float | None:

@@ -41,8 +41,8 @@ from contactgraph.inference.contact_belief import (
     nothing_active,
     spread_over_types,
 )
-from contactgraph.inference.edge_inference import EdgeInference, NoCutoff, SmoothCutoff
-from contactgraph.inference.features import Features, shaped
+from contactgraph.inference.edge_inference import EdgeInference
+from contactgraph.inference.features import Features, NoCutoff, SmoothCutoff, shaped
 from contactgraph.inference.motion_noise import PredictionNoise
 from contactgraph.model.step import ModelState, rollout, take_step
 

@@ -29,15 +29,13 @@ from contactgraph.dynamics.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.inference.contact_belief import ArgmaxSample
-from contactgraph.inference.durations import DurationEdges
-from contactgraph.inference.edge_inference import (
+from contactgraph.inference.edge_inference import DurationEdges, EdgeInference, PriorEdges
+from contactgraph.inference.features import (
     ClosestApproachPrior,
-    EdgeInference,
+    InvariantFeatures,
     NoCutoff,
-    PriorEdges,
     SmoothCutoff,
 )
-from contactgraph.inference.features import InvariantFeatures
 from contactgraph.inference.motion_noise import PredictionNoise
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper import MemorylessEdges, RecurrentEdges

@@ -18,8 +18,7 @@ from contactgraph.bodies.geometry import Meeting
 from contactgraph.bodies.graph import EncodedGraph, all_pairs
 from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactBelief, nothing_active
-from contactgraph.inference.edge_inference import ClosestApproachPrior, NoCutoff
-from contactgraph.inference.features import InvariantFeatures
+from contactgraph.inference.features import ClosestApproachPrior, InvariantFeatures, NoCutoff
 from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig

@@ -139,7 +139,7 @@ def fit(
     """Train from `state` to the last step of `config`, or until the held-out error stops falling.
 
     A dead network ends the training, too: see `has_dead_units` and `equals_constant_velocity`.
-    Contact labels in the data are read with `config.use_contacts` alone: see `filter_loss`.
+    Contact labels in the data are read with `config.use_contacts` alone: see `motion_evidence`.
     `on_check` is called at every check and may save its state; an exception from it (as Ctrl-C
     does) ends the training. Each of several `devices` takes an equal part of every batch, with the
     same result up to rounding. With `near_pairs=ReallocatingModel` large scenes are trained with

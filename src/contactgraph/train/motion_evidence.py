@@ -24,7 +24,7 @@ from contactgraph.inference.contact_belief import (
     posterior_by_motion,
     without_change,
 )
-from contactgraph.inference.durations import smoothed_flows
+from contactgraph.inference.edge_inference import smoothed_flows
 from contactgraph.inference.motion_noise import Motion
 from contactgraph.model.body_mass import MassBelief, first_masses, trajectory_masses
 from contactgraph.model.contact_dynamics import ContactDynamics

@@ -37,7 +37,7 @@ class LossTerms(eqx.Module):
     prior: Float[Array, ""] | float = 0.05
     """Mean KL divergence of the belief from the distance prior, nat per edge."""
     likelihood: Float[Array, ""] | float = 1.0
-    """Mean negative log-likelihood of the motion under a filter, nat per edge."""
+    """Mean cross-entropy of a filter's transitions, nat per edge."""
     noise: Float[Array, ""] | float = 1.0
     """Mean score of the prediction noise: see `PredictionNoise`."""
 
@@ -77,7 +77,7 @@ class TrainConfig:
     check_every: int = 125
     """Optimiser steps between checks."""
     use_contacts: bool = False
-    """Whether recorded contacts, too, correct the filter that is trained."""
+    """Whether recorded contacts are evidence of training, too, beside the motion."""
     weights: LossTerms = field(default_factory=LossTerms)
     """Weights of the terms of the loss."""
 

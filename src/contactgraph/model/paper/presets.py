@@ -17,12 +17,8 @@ from contactgraph.dynamics.local_dynamics import (
     ThetaMethod,
 )
 from contactgraph.inference.contact_belief import ArgmaxSample, GumbelSample
-from contactgraph.inference.edge_inference import (
-    ClosestApproachPrior,
-    EdgeInference,
-    NoCutoff,
-    PriorEdges,
-)
+from contactgraph.inference.edge_inference import EdgeInference, PriorEdges
+from contactgraph.inference.features import ClosestApproachPrior, NoCutoff
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.paper import (
     AbsoluteFeatures,
