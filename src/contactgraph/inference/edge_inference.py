@@ -171,11 +171,11 @@ class DurationEdges(EdgeInference):
        B_{kam}\big), \quad
        b'_{j0} = \sum_{k \ne j, a} F_{ka \to j}, \quad b'_{j,a+1} = F_{ja \to j}, $$
 
-    and every T is at least `min_transition`. A touch is over where there is a gap before the step.
-    So a contact may last for exactly known times (Yu 2010, Hidden semi-Markov models). Geometry q
-    says whether the bodies meet in the step under the command that is given. The features are the
-    gap before the step, the types of the ends and the switches of actuated ends: no force, because
-    what a planner intends is no evidence of contact.
+    and T is at least `min_transition`, to active types as far as the bodies meet. A touch is over
+    where there is a gap before the step. So a contact may last for exactly known times (Yu 2010,
+    Hidden semi-Markov models). Geometry q says whether the bodies meet in the step under the
+    command that is given. The features are the gap before the step, the types of the ends and the
+    switches of actuated ends: no force, because what a planner intends is no evidence of contact.
     """
 
     message_passing: EdgeNetwork
@@ -187,7 +187,8 @@ class DurationEdges(EdgeInference):
     edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
     node_types: int = eqx.field(static=True)
     min_transition: float = eqx.field(static=True)
-    """Least probability of any transition in a step: no type is certain to last, or to change."""
+    """Least probability of any transition in a step: no type is certain to last, or to change. That
+    to active types has a share of it, the probability that the bodies meet."""
 
     def __init__(
         self,
@@ -287,7 +288,8 @@ class DurationEdges(EdgeInference):
         rates = jnp.repeat((lasts[:, None] * np.eye(types))[:, :, None], ages, axis=2)
         rates = rates.at[..., np.flatnonzero(~unilateral)[1:]].set(learned)
         logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, None] + rates
-        return _bounded_softmax(logits, self.min_transition)
+        least = self.min_transition * jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])
+        return _bounded_softmax(logits, least[:, None, None])
 
     @property
     def log_prior(self) -> Float[Array, ""]:
@@ -307,13 +309,15 @@ class DurationEdges(EdgeInference):
         return ContactBelief(types, memory=memory, edge_types=self.edge_types), joint
 
 
-def _bounded_softmax(logits: Float[Array, "E K A K"], least: float) -> Float[Array, "E K A K"]:
+def _bounded_softmax(
+    logits: Float[Array, "E K A K"], least: Float[Array, "E 1 1 K"]
+) -> Float[Array, "E K A K"]:
     """Softmax, at least ``least``; a part of its gradient is that without the bound.
 
     Beyond the bound logits have no effect, and without any gradient they would never return.
     """
     unbounded = jax.nn.log_softmax(logits)
-    bounded = least + (1.0 - logits.shape[-1] * least) * jnp.exp(unbounded)
+    bounded = least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * jnp.exp(unbounded)
     return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
 
 
