@@ -138,7 +138,6 @@ def small_search(cost, attempt=0, damping=0.0):
         two_type_belief(jnp.zeros((1, 0))),
         jnp.zeros((2, 2)),
         jnp.zeros((1, 1)),
-        jnp.zeros((1, 1, 1)),
         dynamics,
     )
     policy = AffinePolicy(jnp.zeros((1, 1, 2)), jnp.zeros((1, 1)))

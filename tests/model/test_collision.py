@@ -230,10 +230,10 @@ def test_the_closest_approach_prior_is_sharp_at_the_contact_distance(touch: floa
         edges = between([distances_of_touch * touch, 0.0], still)
         return float(prior(dataclasses.replace(edges, contact_distance=jnp.full(1, touch)))[0])
 
-    assert at(1.03) == pytest.approx(0.5, abs=1e-4)
-    expected = 0.01 + 0.98 / (1 + np.exp(-2 * 0.01 / 0.02))
-    assert at(1.02) == pytest.approx(expected, abs=1e-4)
-    assert at(1.0) > 0.9 and at(1.1) < 0.02
+    assert at(1.003) == pytest.approx(0.5, abs=1e-4)
+    expected = 0.01 + 0.98 / (1 + np.exp(-2 * 0.001 / 0.002))
+    assert at(1.002) == pytest.approx(expected, abs=1e-4)
+    assert at(1.0) > 0.9 and at(1.01) < 0.02
     assert at(0.2) == pytest.approx(0.99, abs=1e-6) and at(5.0) == pytest.approx(0.01, abs=1e-6)
 
 

@@ -191,7 +191,7 @@ def test_a_single_body_has_no_edge_to_judge() -> None:
     found = judged(state, PUSH, (position, velocity), model=model, nodes=ONE)
     assert found.log_ratio.shape == (0,)
     assert found.corrected.type_probability.shape == (0, 3)
-    assert found.corrected.memory.age.shape == found.predicted.memory.age.shape == (0, 2)
+    assert found.corrected.memory.age.shape == found.predicted.memory.age.shape == (0, 3, 44)
 
 
 @pytest.mark.slow

@@ -44,7 +44,9 @@ def synthetic(sensor: ContactSensor, edge_seed: int = 0) -> dict:
     nodes = Nodes(jnp.array([True, False]), jnp.ones(2, bool), jnp.ones(1, bool))
 
     def encode(position: jax.Array):
-        return MODEL.encode(position, jnp.zeros_like(position), STILL, nodes, NOTHING)
+        """Bodies that approach each other, as they do where a touch begins."""
+        velocity = jnp.zeros_like(position).at[1, 0].set(-0.1)
+        return MODEL.encode(position, velocity, STILL, nodes, NOTHING)
 
     graph = eqx.filter_jit(jax.vmap(jax.vmap(encode)))(jnp.asarray(position[:, 1:]))
     rng = np.random.default_rng(1)

@@ -163,7 +163,9 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
 
     def belief(known: ContactBelief, added: ContactBelief) -> ContactBelief:
         return jax.tree.map(
-            lambda old, new: _chosen(np.asarray(old), edge, np.asarray(new), -2), known, added
+            lambda old, new: _chosen(np.asarray(old), edge, np.asarray(new), -new.ndim),
+            known,
+            added,
         )
 
     carry, fresh = state.carry, new.carry.filter.predicted

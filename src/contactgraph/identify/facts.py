@@ -30,6 +30,7 @@ from contactgraph.identify.shapes import (
     plane_distances,
     with_shapes,
 )
+from contactgraph.inference.features import GAP_SCALES
 from contactgraph.inference.motion_noise import in_lengths
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.model.presets import ModelConfig, Preset
@@ -130,7 +131,7 @@ class Facts:
             noise = in_lengths(model.prediction_noise, self.units.length, fresh.prediction_noise)
             moved = eqx.tree_at(lambda each: each.prediction_noise, moved, noise)
             count = fresh.inference.commands
-            begin = fresh.features.edge_size(fresh.dimension) + 1
+            begin = len(GAP_SCALES)  # The switches follow the gap.
             unit = jnp.array(self.units.control[len(self.units.control) - count :])
             weight = commanded(moved).at[:, begin : begin + count].divide(unit)
             moved = eqx.tree_at(commanded, moved, weight)

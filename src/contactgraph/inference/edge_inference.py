@@ -97,7 +97,7 @@ class EdgeInference(eqx.Module):
         return jax.vmap(from_type, out_axes=1)(every)[:, :, None]
 
     @property
-    def log_prior(self) -> Float[Array, ""] | float:
+    def log_density(self) -> Float[Array, ""] | float:
         """Log-density of the parameters of the transitions before training, up to a constant."""
         return 0.0
 
@@ -292,7 +292,7 @@ class DurationEdges(EdgeInference):
         return _bounded_softmax(logits, least[:, None, None])
 
     @property
-    def log_prior(self) -> Float[Array, ""]:
+    def log_density(self) -> Float[Array, ""]:
         """Of the odds by age: neighbours differ by about 1."""
         steps = jnp.diff(_PACE * self.odds, axis=1)
         return -0.5 * jnp.sum(steps**2)

@@ -20,7 +20,7 @@ _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 _PACE = 5.0
 """Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
-_TOUCHING, _GAPS = 0.002, (0.003, 0.03)
+_TOUCHING, GAP_SCALES = 0.002, (0.003, 0.03)
 """Gap, in contact distances, of bodies that touch, at most, and approach in a step of such that
 rest; and those gaps beyond it at which bodies have just parted, and are merely near."""
 
@@ -224,7 +224,9 @@ def approach_gap_and_switches(
     gap = jnp.maximum(geometry.distance / touch - 1.0 - _TOUCHING, 0.0)[:, None]
     approaches = (geometry.distance - geometry.closest_approach) / touch > _TOUCHING
     acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * switches
-    return jnp.concatenate([approaches[:, None], gap / (np.array(_GAPS) + gap), acting], axis=-1)
+    return jnp.concatenate(
+        [approaches[:, None], gap / (np.array(GAP_SCALES) + gap), acting], axis=-1
+    )
 
 
 class ClosestApproachPrior(eqx.Module):

@@ -229,7 +229,7 @@ def transition_loss(
         evidence.flow * jnp.log(jnp.maximum(transitions, _SMALLEST)), axis=(-3, -2, -1)
     )
     counted = (graph.weight > 0) & trajectories.step_mask[..., None]
-    prior = share * model.inference.log_prior / jnp.maximum(jnp.sum(counted), 1)
+    prior = share * model.inference.log_density / jnp.maximum(jnp.sum(counted), 1)
     return masked_mean(cross, counted) - prior
 
 
