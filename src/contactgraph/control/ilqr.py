@@ -126,8 +126,9 @@ class ILQR(eqx.Module):
                 costs += each.by_step(rollout.states, rollout.beliefs)
             if swept is not None and self.swept_dt is not None:
                 given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
-                made = rollout, ~given_up, nodes, self.swept_dt
-                swept = swept.with_rollout(search.iteration, model, state, *made)
+                swept = swept.with_rollout(
+                    search.iteration, model, state, rollout, ~given_up, nodes, self.swept_dt
+                )
             about = part, ids, contacts
             return self._judge(search, rollout, jnp.sum(costs), about), swept
 

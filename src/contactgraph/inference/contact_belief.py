@@ -167,6 +167,18 @@ def late_rate(rate: float | Array, delay: int | Array) -> float | Array:
     return rate * (1.0 - changed) + (1.0 - rate) * changed
 
 
+def report_likelihood(
+    contact: Float[Array, "*T E"], sensor: ContactSensor, edge_types: tuple[EdgeType, ...]
+) -> Float[Array, "*T E K"]:
+    """Likelihood of a report, 0 (no contact) to 1 (contact), of each edge type; at least 1e-6."""
+    contact, false_alarm, miss = jnp.clip(contact, 0.0, 1.0), sensor.false_alarm, sensor.miss
+    if_active = contact * (1.0 - miss) + (1.0 - contact) * miss
+    if_inactive = contact * false_alarm + (1.0 - contact) * (1.0 - false_alarm)
+    reported = np.array([False, *(sensor.reports(each) for each in edge_types)])
+    likelihood = jnp.where(reported, if_active[..., None], if_inactive[..., None])
+    return jnp.maximum(likelihood, _MIN_PROBABILITY)
+
+
 def correct(
     belief: ContactBelief,
     contact_measurement: Float[Array, " all"],
@@ -185,14 +197,9 @@ def correct(
         contact_measurement = contact_measurement.at[edge_id].get(mode="fill", fill_value=jnp.nan)
         sensor = jax.tree.map(lambda rate: _listed(rate, edge_id), sensor)
     measured = jnp.isfinite(contact_measurement)
-    contact = jnp.clip(jnp.where(measured, contact_measurement, 0.5), 0.0, 1.0)
-    false_alarm, miss = sensor.false_alarm, sensor.miss
-    if_active = contact * (1.0 - miss) + (1.0 - contact) * miss
-    if_inactive = contact * false_alarm + (1.0 - contact) * (1.0 - false_alarm)
+    contact = jnp.where(measured, contact_measurement, 0.5)
     prior = jnp.clip(belief.type_probability, _MIN_PROBABILITY, 1.0)
-    reported = np.array([False, *(sensor.reports(each) for each in belief.edge_types)])
-    likelihood = jnp.where(reported, if_active[..., None], if_inactive[..., None])
-    posterior = prior * jnp.maximum(likelihood, _MIN_PROBABILITY)
+    posterior = prior * report_likelihood(contact, sensor, belief.edge_types)
     posterior = posterior / jnp.sum(posterior, axis=-1, keepdims=True)
     types = jnp.where(measured[..., None], posterior, belief.type_probability)
     memory = belief.memory.after_report(belief.type_probability, types)

@@ -33,7 +33,7 @@ bodies which are free stay so while they do not approach each other. They are no
 hardly tells a touch from none."""
 _UNBOUNDED = 0.1
 """Share of the gradient that is kept beyond the least transition."""
-_MIN_PROBABILITY = 1e-6
+_MIN_PROBABILITY, _SMALLEST = 1e-6, 1e-24
 
 
 class EdgeInference(eqx.Module):
@@ -352,7 +352,7 @@ def smoothed_flows(
         part = partial(inference.parted, embedding=embedding)
         (before,) = jax.linear_transpose(part, table)(jnp.sum(future, axis=-1))
         flow = table[..., None] * future
-        flow = flow / jnp.maximum(jnp.sum(flow, axis=(1, 2, 3), keepdims=True), _MIN_PROBABILITY**4)
+        flow = flow / jnp.maximum(jnp.sum(flow, axis=(1, 2, 3), keepdims=True), _SMALLEST)
         return before / jnp.max(before, axis=(-2, -1), keepdims=True), flow
 
     tables = jax.lax.scan(forward, first, (embedding, moved))[1]

@@ -124,13 +124,13 @@ class ExpectationMaximisation(Objective):
             key, draw_key = jax.random.split(key)
             trajectory, start = drawn.draw_starts(config.batch_size, key)
             steps = trajectory[:, None], start[:, None] + jnp.arange(drawn.length)
-            told = jax.tree.map(lambda leaf: leaf[steps], evidence)
-            windows, told = data.split.shard((drawn.take(trajectory, start), told))
-            windows = told.weighed(windows)
+            of_windows = jax.tree.map(lambda leaf: leaf[steps], evidence)
+            windows, of_windows = data.split.shard((drawn.take(trajectory, start), of_windows))
+            windows = of_windows.weighed(windows)
             some = jax.random.randint(draw_key, (_CLASSIFIED,), 0, len(drawn.weight))
             every = jax.tree.map(lambda leaf: leaf[some], (drawn.trajectories, evidence))
             (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(
-                params, windows, told, *every
+                params, windows, of_windows, *every
             )
             return gradient, terms
 

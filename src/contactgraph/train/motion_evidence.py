@@ -11,7 +11,6 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.bodies.geometry import Meeting
@@ -22,6 +21,7 @@ from contactgraph.inference.contact_belief import (
     ContactSensor,
     correct,
     posterior_by_motion,
+    report_likelihood,
     without_change,
 )
 from contactgraph.inference.edge_inference import smoothed_flows
@@ -120,9 +120,8 @@ def _evidence(
     without_edges = each_step(apart, graph)
     ratio = each_step(judge, graph, (windows.position[:, 1:], windows.velocity[:, 1:]))
     if windows.contact is not None:
-        ratio += _label_ratios(windows.contact[:, 1:], graph.edge_types, reports_touch)[
-            ..., None, :
-        ]
+        labels = _label_ratios(windows.contact[:, 1:], graph.edge_types, reports_touch)
+        ratio += labels[..., None, :]
     flow = jax.vmap(partial(smoothed_steps, model))(graph, ratio)
     smoothed = jnp.sum(flow, axis=(-3, -2))
     types = jax.nn.one_hot(jnp.argmax(smoothed, axis=-1), smoothed.shape[-1], dtype=smoothed.dtype)
@@ -147,10 +146,9 @@ def _label_ratios(
 ) -> Float[Array, "B L E K"]:
     """Log-likelihood of recorded contacts of each type; 0 where none is recorded."""
     sensor = dataclasses.replace(_LABELS, reports_touch=reports_touch)
-    shows = np.array([False, *(sensor.reports(each) for each in edge_types)])
-    of_contact = np.where(shows, 1.0 - sensor.miss, sensor.false_alarm)
-    likelihood = jnp.where(contact[..., None] > 0.5, of_contact, 1.0 - of_contact)
-    return jnp.where(jnp.isfinite(contact)[..., None], jnp.log(likelihood), 0.0)
+    recorded = jnp.isfinite(contact)
+    likelihood = report_likelihood(jnp.where(recorded, contact, 0.5), sensor, edge_types)
+    return jnp.where(recorded[..., None], jnp.log(likelihood), 0.0)
 
 
 def held_where_near(prior: ContactBelief) -> Float[Array, "E K"]:
