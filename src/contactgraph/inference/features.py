@@ -19,7 +19,7 @@ _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 _PACE = 5.0
 """Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
-_TOUCHING, _GAPS = 0.001, (0.003, 0.03)
+_TOUCHING, _GAPS = 0.002, (0.003, 0.03)
 """Gap, in contact distances, of bodies that touch, at most, and approach in a step of such that
 rest; and those gaps beyond it at which bodies have just parted, and are merely near."""
 
