@@ -26,9 +26,9 @@ class ClosestApproachPrior(eqx.Module):
     because an unknown force may bring bodies together or keep them apart.
     """
 
-    margin: float = eqx.field(static=True, default=1.03)
+    margin: float = eqx.field(static=True, default=1.003)
     """$m$; factor on the contact distance below which nodes count as touching."""
-    sharpness: float = eqx.field(static=True, default=0.02)
+    sharpness: float = eqx.field(static=True, default=0.002)
     """$s$."""
     min_probability: float = eqx.field(static=True, default=0.01)
     r"""$\epsilon$."""
