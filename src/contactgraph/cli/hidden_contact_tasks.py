@@ -24,6 +24,7 @@ def _task(make: Callable[..., Task], expert: Callable[..., Policy], summary: str
         expert,
         partial(expert, noise=0.0),
         explorer=HandlingPolicy,
+        exploration=0.5,
         summary=summary,
         conditions=(AS_TRAINED, THREE_DISTRACTORS),
     )
