@@ -187,5 +187,5 @@ class StickyTask(CarryTask):
         return any(at_goal(position[node], scene) for node in self._holders)
 
     def cost_terms(self) -> ChainCost:
-        """The weights of pickup, along the first target that holds in this episode."""
-        return replace(super().cost_terms(), chain=(GRIPPER, min(self._holders)))
+        """The weights of pickup, along any of the targets: which one holds must be found out."""
+        return replace(super().cost_terms(), candidates=tuple(range(1, 1 + self.targets)))

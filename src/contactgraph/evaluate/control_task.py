@@ -210,7 +210,11 @@ def _run(
     for seed in seeds:
         trajectories.append(run_episode(task, policy, seed))
         succeeded.append(task.success())
-        chains.append(task.cost_terms().chain)
+        terms, scene = task.cost_terms(), task.scene
+        ends = terms.chain
+        if scene.goal is not None:
+            ends = terms.ending_nearest(trajectories[-1].position[-1], scene.goal)
+        chains.append(ends)
         after(trajectories[-1])
     return trajectories, succeeded, chains
 

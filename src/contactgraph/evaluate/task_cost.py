@@ -10,6 +10,13 @@ from contactgraph.control import Cost, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 
+_IN_VAIN_S = 0.5
+"""Time of trying a candidate in vain after which another one's turn comes, s."""
+_PULL = 1.0
+"""N; a control above this would move a body that is not fixed."""
+_STILL = 0.02
+"""m/s, up to which a body does not move."""
+
 
 class SceneCost(Cost, Protocol):
     """A cost that can be applied to a scene, such as `contactgraph.control.LearnedCost`."""
@@ -21,8 +28,12 @@ class SceneCost(Cost, Protocol):
     def in_scene(self, scene: Scene) -> "SceneCost":
         """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
 
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """Nodes of which any may stand in the last place of ``order``; empty: that one alone."""
+
     def among(self, nodes: Sequence[int]) -> "SceneCost":
-        """The same with its nodes in another order."""
+        """The same with its nodes in another order, or another candidate in the last place."""
 
     def seeing(self, observation: Observation) -> "SceneCost":
         """The cost where the nodes are as observed; itself, if nothing changes."""
@@ -66,6 +77,11 @@ class TaskCost:
         terms = self.terms if self.current_terms is None else self.current_terms()
         return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
 
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """See `ChainCost.candidates`."""
+        return self.terms.candidates
+
     def among(self, nodes: Sequence[int]) -> "TaskCost":
         """The cost along the chain in another order."""
         return replace(self, order=tuple(nodes))
@@ -103,3 +119,49 @@ class TaskCost:
         if not self.turns:
             return cost
         return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
+
+
+class CandidateTrials:
+    """The candidate that plans are about; remembers for how long each has been tried in vain.
+
+    That is the time in contact without a hold, and in a hold in which it does not move although it
+    is pulled, since it last moved in a hold. A candidate is given up after half a second of it, as
+    long as there is one that was tried for less. Before that one that is held comes first, then the
+    present one, then the nearest.
+    """
+
+    def __init__(self, cost: SceneCost) -> None:
+        self._hand, self._candidates = cost.order[0], cost.candidates
+        self._present = cost.order[-1]
+        self._in_vain = dict.fromkeys(cost.candidates, 0.0)
+        self._begun = False
+
+    def choose(
+        self,
+        observation: Observation,
+        contact: np.ndarray,
+        holding: np.ndarray,
+        force: float,
+        dt: float,
+    ) -> int:
+        """The candidate for the coming plan.
+
+        ``contact`` and ``holding`` are what is believed of the first node and every node [N], bool;
+        ``force`` N acted in the ``dt`` s before.
+        """
+        position = observation["position"]
+        away = np.linalg.norm(position - position[self._hand], axis=-1)
+        speed = np.linalg.norm(observation["velocity"], axis=-1)
+        for node in self._candidates:
+            if holding[node] and speed[node] > _STILL:
+                self._in_vain[node] = 0.0
+            elif force > _PULL if holding[node] else contact[node]:
+                self._in_vain[node] += dt
+
+        def rank(node: int) -> tuple[int, bool, bool, float]:
+            rounds = int(self._in_vain[node] / _IN_VAIN_S + 1e-9)
+            other = self._begun and node != self._present
+            return rounds, not holding[node], other, float(away[node])
+
+        self._present, self._begun = min(self._candidates, key=rank), True
+        return self._present

@@ -230,9 +230,11 @@ def pull_warning(dataset: Dataset) -> str | None:
     """One line where bodies are pulled almost only while they are held, though some touches are
     none: a model would learn from the force that it holds, and could not plan to pull."""
     held = np.concatenate([pulls(each) for each in dataset])
-    if len(held) < _PULLS or held.mean() <= _HELD:
-        return None
-    if all(each.holding is None or np.array_equal(each.holding, each.contact) for each in dataset):
+    nothing_hidden = all(
+        each.contact is None or each.holding is None or np.array_equal(each.contact, each.holding)
+        for each in dataset
+    )
+    if nothing_hidden or len(held) < _PULLS or held.mean() <= _HELD:
         return None
     return (
         f"in {held.sum()} of {len(held)} pulls at a body in contact it is held, so that the force "
