@@ -149,6 +149,15 @@ Clearance = Annotated[
         help_behavior_hint="(may touch them)",
     ),
 ]
+Inference = Annotated[
+    str,
+    arg(
+        metavar="NAME",
+        help="Inference of edges: filter, the model's own, or an ablation: prior-touch or "
+        "prior-hold, the geometric prior alone, of edges that touch or that hold; or none, without "
+        "edges.",
+    ),
+]
 OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
 
 _LARGEST_SEED = 2**32 - 1
