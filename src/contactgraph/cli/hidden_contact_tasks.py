@@ -1,4 +1,4 @@
-"""The table of the tasks in which geometry does not tell holding."""
+"""The table of the tasks in which geometry does not tell the contact."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +9,8 @@ from contactgraph.envs import (
     CarryExpert,
     DelayTask,
     HandlingPolicy,
+    LookAlikesExpert,
+    LookAlikesTask,
     ReleaseTask,
     StickyExpert,
     StickyTask,
@@ -53,5 +55,10 @@ HIDDEN_CONTACT_TASKS = {
         StickyTask,
         StickyExpert,
         "a gripper finds an object that holds among look-alikes, and takes it to a goal",
+    ),
+    "look-alikes": _task(
+        LookAlikesTask,
+        LookAlikesExpert,
+        "of two look-alikes, one is welded to the table; a gripper holds the other at a goal",
     ),
 }

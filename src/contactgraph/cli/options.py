@@ -58,8 +58,8 @@ TaskArgument = Positional[
 Distractors = Annotated[
     int,
     arg(
-        help="Further bodies: pickups, suction, release, delay, sticky and unknown-mass 0 to 20, "
-        "door 0 to 10, franka 0 to 5."
+        help="Further bodies: pickups, suction, release, delay, sticky, look-alikes and "
+        "unknown-mass 0 to 20, door 0 to 10, franka 0 to 5."
     ),
 ]
 Objects = Annotated[

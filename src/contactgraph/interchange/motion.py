@@ -34,6 +34,8 @@ _PULL = 0.5
 """N away from a body in contact, above which a command is a pull."""
 _PULLS, _HELD = 30, 0.95
 """Pulls that are too few to tell, and the share of held bodies among them that tells the hold."""
+_ALWAYS_HELD = 0.9
+"""Share of held bodies in contact above which hardly any hold is in question."""
 _AT_REST = 1e-4
 """Displacement up to which a body rests, as a share of the extent of all positions: contacts that
 bear a body move it by rounding."""
@@ -227,16 +229,20 @@ def pulls(trajectory: Trajectory) -> np.ndarray:
 
 
 def pull_warning(dataset: Dataset) -> str | None:
-    """One line where bodies are pulled almost only while they are held, though some touches are
-    none: a model would learn from the force that it holds, and could not plan to pull."""
+    """One line where bodies are pulled almost only while they are held, but not touched so: a model
+    would learn from the force that it holds, and could not plan to pull."""
     held = np.concatenate([pulls(each) for each in dataset])
-    nothing_hidden = all(
-        each.contact is None or each.holding is None or np.array_equal(each.contact, each.holding)
-        for each in dataset
-    )
-    if nothing_hidden or len(held) < _PULLS or held.mean() <= _HELD:
+    touched = np.concatenate([_held_in_contact(each) for each in dataset])
+    if len(held) < _PULLS or held.mean() <= _HELD or touched.mean() > _ALWAYS_HELD:
         return None
     return (
         f"in {held.sum()} of {len(held)} pulls at a body in contact it is held, so that the force "
         "tells what only motion should; record with --exploration 0.5"
     )
+
+
+def _held_in_contact(trajectory: Trajectory) -> np.ndarray:
+    """Whether the pair holds, bool, of each pair in contact in each state."""
+    if trajectory.contact is None or trajectory.holding is None:
+        return np.zeros(0, dtype=bool)
+    return trajectory.holding[trajectory.contact]
