@@ -312,7 +312,7 @@ def test_neither_look_alike_stands_in_the_way_of_the_other(fixed):
                 assert distance_to_path(other, one, end, 0.0) >= 0.2 - 1e-9
 
 
-def test_the_pull_that_ends_a_hold_of_a_welded_body_is_above_4_newtons():
+def test_the_pull_that_ends_a_hold_of_a_welded_body_is_above_6_newtons():
     task = LookAlikesTask()
     observation, _ = task.reset(seed=0)
     welded = 3 - task.scene.metadata["free"]
@@ -320,7 +320,7 @@ def test_the_pull_that_ends_a_hold_of_a_welded_body_is_above_4_newtons():
         hand = GripperForces(observation, welded)
         observation, *_ = task.step(hand.approach())
     away = -unit(observation["position"][welded] - observation["position"][GRIPPER])
-    for force, holds in ((3.5, True), (4.5, False)):
+    for force, holds in ((6.0, True), (8.5, False)):
         for _ in range(10):
             observation, *_ = task.step(force * away)
         assert bool(observation["holding"][GRIPPER, welded]) is holds

@@ -6,6 +6,7 @@ import pytest
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, StickyTask
 from contactgraph.evaluate import AvoidingCost, CandidateTrials, TaskCost
+from contactgraph.evaluate.task_cost import TOUCH_WEIGHT
 
 DT = 0.05
 WEIGHTS = np.ones(4)
@@ -17,14 +18,15 @@ def trials():
     return CandidateTrials(TaskCost.of(task.cost_terms(), 2, task.cost_terms).in_scene(task.scene))
 
 
-def choose(of, steps=1, *, contact=(), holding=(), moving=(), force=2.0):
+def choose(of, steps=1, *, contact=(), holding=(), moving=(), goal=9.0):
     """The choice after some equal steps; bodies are 1, 2 and 3 m from the gripper."""
     velocity = np.zeros((4, 2))
     velocity[list(moving), 1] = 0.1
     held = np.isin(range(4), holding)
     observation = {"position": np.array([[0.0, 0], [3, 0], [1, 0], [2, 0]]), "velocity": velocity}
+    observation["goal"] = np.array([goal, 0.0])
     for _ in range(steps):
-        chosen = of.choose(observation, np.isin(range(4), contact) | held, held, force, DT)
+        chosen = of.choose(observation, np.isin(range(4), contact) | held, held, DT)
     return chosen
 
 
@@ -44,11 +46,11 @@ def test_a_body_that_holds_and_moves_is_kept():
     assert choose(of, 9, contact=[2]) == 2
     assert choose(of, contact=[2], holding=[1], moving=[1]) == 1, "whatever was to be tried"
     assert choose(of, 100, holding=[1], moving=[1]) == 1
-    assert choose(of, 100, holding=[1], force=0.5) == 1, "at rest without a pull, as at the goal"
+    assert choose(of, 100, holding=[1], goal=3.05) == 1, "at rest at the goal"
     assert choose(of, 9, contact=[1]) == 1, "a hold that is lost"
 
 
-def test_a_body_that_holds_and_does_not_move_when_pulled_is_given_up():
+def test_a_body_that_holds_and_does_not_move_is_given_up():
     of = trials()
     assert choose(of, 9, holding=[2]) == 2
     assert choose(of, holding=[2]) == 3
@@ -73,3 +75,15 @@ def test_no_candidate_is_avoided():
     avoid, clear = AvoidingCost(own).in_scene(task.scene).contacts
     for pairs in (avoid.pairs, clear.pairs):
         assert np.array(pairs).tolist() == [[0, 4], [1, 4], [2, 4], [3, 4]]
+
+
+def test_what_was_given_up_is_avoided():
+    of = trials()
+    assert choose(of, 9, contact=[2]) == 2
+    before = of.avoided(2)
+    assert choose(of, contact=[2]) == 3
+    after = of.avoided(2)
+    assert np.array(before.pairs).tolist() == np.array(after.pairs).tolist()
+    assert np.array(before.pairs).tolist() == [[0, 1], [0, 2], [0, 3]]
+    assert np.array(before.weight).tolist() == [0, 0, 0]
+    assert np.array(after.weight).tolist() == [0, TOUCH_WEIGHT, 0]

@@ -37,6 +37,9 @@ _SWITCHING_COST = 0.015
 slowly is not taken again at once."""
 _PLACED_RADIUS = 0.008
 """Distance from the goal within which the target lies there, m; 0.02 are allowed."""
+_WELD_TENSION = 7.5
+"""Force that ends a hold of look-alikes, N: above half the largest control, so that it is no limit
+for a single free body."""
 WELDED_MASS = 100.0
 """kg, of a welded body as far as a scene tells: no pull moves it noticeably."""
 REST_SPEED = 0.02
@@ -198,10 +201,10 @@ class LookAlikesTask(CarryTask):
     """Two look-alike bodies, one of them welded to the table; a `contactgraph.envs.Task`.
 
     Which one is drawn for each episode, and nothing observed tells it but that it does not move.
-    The gripper holds what it touches until more than 4 N pull the pair apart, and can hold it again
-    once it has parted. The control ``[2]`` N is a force on the gripper. The other body must end
-    within 0.1 m of the goal, and held. Raises `InvalidInputError` where ``distractors``, which are
-    not welded, is not in 0 to 20.
+    The gripper holds what it touches until more than 7.5 N pull the pair apart, which its control
+    can do only where a body is welded; it can hold it again once it has parted. The control ``[2]``
+    N is a force on the gripper. The other body must end within 0.1 m of the goal, and held. Raises
+    `InvalidInputError` where ``distractors``, which are not welded, is not in 0 to 20.
     """
 
     name = "look-alikes"
@@ -222,7 +225,7 @@ class LookAlikesTask(CarryTask):
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """Holds of all bodies, that a pull ends."""
-        return BreakingHold(), {}
+        return BreakingHold(tension=_WELD_TENSION), {}
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest; its metadata name the free body."""

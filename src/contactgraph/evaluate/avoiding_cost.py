@@ -8,14 +8,12 @@ import numpy as np
 from contactgraph.control import ContactCost, QuadraticCost, avoid, keep_clear
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.evaluate.task_cost import SceneCost
+from contactgraph.evaluate.task_cost import TOUCH_WEIGHT, SceneCost
 
 CLEARANCE = 0.03
 """m; least gap between surfaces."""
 WEIGHT = 1e4
 """1/m^2; of what is missing of the gap."""
-TOUCH_WEIGHT = 10.0
-"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,4 +72,5 @@ class AvoidingCost:
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The other cost, with what is to be avoided."""
-        return replace(self.cost.quadratic(node_count), contacts=self.contacts)
+        cost = self.cost.quadratic(node_count)
+        return replace(cost, contacts=(*cost.contacts, *self.contacts))

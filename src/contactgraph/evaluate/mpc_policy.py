@@ -12,6 +12,7 @@ from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.data.dataset import far_origin, scene_about
 from contactgraph.envs.contract import Feedback, Observation
+from contactgraph.evaluate.avoiding_cost import AvoidingCost
 from contactgraph.evaluate.plan_tracking import (
     EpisodeRecord,
     edge_probabilities,
@@ -115,7 +116,7 @@ class MPCPolicy:
             self._begin(self._scene, observation["position"])
             observation = self._about_origin(observation)
             nodes = scene_nodes(self._scene, self._capacity)
-            self._state = self._mpc.reset(observation, nodes, self._scene_cost)
+            self._state = self._mpc.reset(observation, nodes, self._cost_of(self._order))
         else:
             observation = self._about_origin(observation)
         contacts = self._contacts(observation)
@@ -232,12 +233,19 @@ class MPCPolicy:
             self._order = self._grasped_first(self._state)
         if self._scene_cost is before and self._order == order:
             return None
-        return self._scene_cost.among(self._order)
+        return self._cost_of(self._order)
+
+    def _cost_of(self, order: tuple[int, ...]) -> SceneCost:
+        """The cost along these nodes; of candidates it also avoids those that were given up."""
+        cost = self._scene_cost.among(order)
+        if not cost.candidates or self._scene is None:
+            return cost
+        return AvoidingCost(cost, contacts=(self._trials.avoided(self._scene.dimension),))
 
     def _candidate(self, observation: Observation) -> int:
         """The one that the plan is to be about, by the beliefs about the step just made."""
         assert self._scene is not None
-        count, dimension = self._scene.node_count, self._scene.dimension
+        count = self._scene.node_count
         first, second = pair_indices(count).T
 
         def believed(holds: bool) -> np.ndarray:
@@ -248,9 +256,8 @@ class MPCPolicy:
             )
             return (paired | paired.T)[self._chain[0]]
 
-        force = 0.0 if self._applied is None else np.linalg.norm(self._applied[:dimension])
         return self._trials.choose(
-            observation, believed(False), believed(self._holds), float(force), self._scene.dt
+            observation, believed(False), believed(self._holds), self._scene.dt
         )
 
     def _grasped_first(self, state: MPCState) -> tuple[int, ...]:

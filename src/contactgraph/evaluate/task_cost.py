@@ -6,16 +6,18 @@ from typing import Protocol
 
 import numpy as np
 
-from contactgraph.control import Cost, QuadraticCost, chain_cost
+from contactgraph.control import ContactCost, Cost, QuadraticCost, avoid, chain_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 
 _IN_VAIN_S = 0.5
 """Time of trying a candidate in vain after which another one's turn comes, s."""
-_PULL = 1.0
-"""N; a control above this would move a body that is not fixed."""
 _STILL = 0.02
 """m/s, up to which a body does not move."""
+_THERE = 0.1
+"""m from the goal, up to which a body may rest there."""
+TOUCH_WEIGHT = 10.0
+"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 class SceneCost(Cost, Protocol):
@@ -124,44 +126,47 @@ class TaskCost:
 class CandidateTrials:
     """The candidate that plans are about; remembers for how long each has been tried in vain.
 
-    That is the time in contact without a hold, and in a hold in which it does not move although it
-    is pulled, since it last moved in a hold. A candidate is given up after half a second of it, as
-    long as there is one that was tried for less. Before that one that is held comes first, then the
-    present one, then the nearest.
+    That is the time in contact without a hold, or in a hold at rest more than 0.1 m from the goal,
+    since it last moved in a hold. A candidate is given up, and avoided, after half a second of it,
+    as long as there is one that was tried for less. Before that one that is held comes first, then
+    the present one, then the nearest.
     """
 
     def __init__(self, cost: SceneCost) -> None:
         self._hand, self._candidates = cost.order[0], cost.candidates
-        self._present = cost.order[-1]
+        self._present: int | None = None
         self._in_vain = dict.fromkeys(cost.candidates, 0.0)
-        self._begun = False
 
     def choose(
-        self,
-        observation: Observation,
-        contact: np.ndarray,
-        holding: np.ndarray,
-        force: float,
-        dt: float,
+        self, observation: Observation, contact: np.ndarray, holding: np.ndarray, dt: float
     ) -> int:
-        """The candidate for the coming plan.
+        """The candidate for the coming plan, ``dt`` s after the last one.
 
-        ``contact`` and ``holding`` are what is believed of the first node and every node [N], bool;
-        ``force`` N acted in the ``dt`` s before.
+        ``contact`` and ``holding`` are what is believed of the first node and every node [N], bool.
         """
-        position = observation["position"]
+        position, goal = observation["position"], observation["goal"]
         away = np.linalg.norm(position - position[self._hand], axis=-1)
-        speed = np.linalg.norm(observation["velocity"], axis=-1)
+        missing = np.linalg.norm(position - goal, axis=-1)
+        moves = np.linalg.norm(observation["velocity"], axis=-1) > _STILL
         for node in self._candidates:
-            if holding[node] and speed[node] > _STILL:
+            if holding[node] and moves[node]:
                 self._in_vain[node] = 0.0
-            elif force > _PULL if holding[node] else contact[node]:
+            elif contact[node] and not (holding[node] and missing[node] < _THERE):
                 self._in_vain[node] += dt
 
         def rank(node: int) -> tuple[int, bool, bool, float]:
-            rounds = int(self._in_vain[node] / _IN_VAIN_S + 1e-9)
-            other = self._begun and node != self._present
-            return rounds, not holding[node], other, float(away[node])
+            other = self._present is not None and node != self._present
+            return self._rounds(node), not holding[node], other, float(away[node])
 
-        self._present, self._begun = min(self._candidates, key=rank), True
+        self._present = min(self._candidates, key=rank)
         return self._present
+
+    def avoided(self, dimension: int) -> ContactCost:
+        """What touching the candidates costs that have been given up; of the same shapes always."""
+        pairs = [(self._hand, node) for node in self._candidates]
+        given_up = [self._rounds(node) > 0 and node != self._present for node in self._candidates]
+        return avoid(pairs, TOUCH_WEIGHT * np.array(given_up), dimension)
+
+    def _rounds(self, node: int) -> int:
+        """Times that it has been tried in vain."""
+        return int(self._in_vain[node] / _IN_VAIN_S + 1e-9)
