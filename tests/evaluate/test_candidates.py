@@ -6,7 +6,6 @@ import pytest
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, StickyTask
 from contactgraph.evaluate import AvoidingCost, CandidateTrials, TaskCost
-from contactgraph.evaluate.task_cost import TOUCH_WEIGHT
 
 DT = 0.05
 WEIGHTS = np.ones(4)
@@ -86,4 +85,4 @@ def test_what_was_given_up_is_avoided():
     assert np.array(before.pairs).tolist() == np.array(after.pairs).tolist()
     assert np.array(before.pairs).tolist() == [[0, 1], [0, 2], [0, 3]]
     assert np.array(before.weight).tolist() == [0, 0, 0]
-    assert np.array(after.weight).tolist() == [0, TOUCH_WEIGHT, 0]
+    assert np.array(after.weight).tolist() == [0, 100, 0]

@@ -8,12 +8,14 @@ import numpy as np
 from contactgraph.control import ContactCost, QuadraticCost, avoid, keep_clear
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.evaluate.task_cost import TOUCH_WEIGHT, SceneCost
+from contactgraph.evaluate.task_cost import SceneCost
 
 CLEARANCE = 0.03
 """m; least gap between surfaces."""
 WEIGHT = 1e4
 """1/m^2; of what is missing of the gap."""
+TOUCH_WEIGHT = 10.0
+"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,11 @@ _IN_VAIN_S = 0.5
 """Time of trying a candidate in vain after which another one's turn comes, s."""
 _STILL = 0.02
 """m/s, up to which a body does not move."""
+_GIVEN_UP_WEIGHT = 100.0
+"""Of a step in which a candidate that was given up is believed to be touched: what holds the
+gripper, and is known to be heavy, is torn off by a plan only if that pays."""
 _THERE = 0.1
 """m from the goal, up to which a body may rest there."""
-TOUCH_WEIGHT = 10.0
-"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 class SceneCost(Cost, Protocol):
@@ -165,7 +166,7 @@ class CandidateTrials:
         """What touching the candidates costs that have been given up; of the same shapes always."""
         pairs = [(self._hand, node) for node in self._candidates]
         given_up = [self._rounds(node) > 0 and node != self._present for node in self._candidates]
-        return avoid(pairs, TOUCH_WEIGHT * np.array(given_up), dimension)
+        return avoid(pairs, _GIVEN_UP_WEIGHT * np.array(given_up), dimension)
 
     def _rounds(self, node: int) -> int:
         """Times that it has been tried in vain."""
