@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
+from jaxtyping import Array
+
 from contactgraph.bodies.graph import first_where, usual_edge_types
 from contactgraph.cli.options import TEMPERATURE, choice, load_object
 from contactgraph.data import Dataset, InvalidInputError, subsample
@@ -14,6 +17,7 @@ from contactgraph.identify import Facts, identify, relation_facts, scene_facts
 from contactgraph.model import (
     PAPER_PRESETS,
     PRESETS,
+    ContactBelief,
     ContactDynamics,
     ContactSensor,
     DistancePrior,
@@ -117,18 +121,30 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     """The model with the inference of ``--inference``.
 
     The geometric prior knows no types, so ``prior-touch`` and ``prior-hold`` say which one all its
-    active edges have. Of two types they are the same.
+    active edges have. Of two types they are the same. With ``none`` no edge is ever active.
     """
     types = model.inference.edge_types
     active_types = {
-        "learned": None,
+        "filter": None,
         "prior-touch": first_where(each.unilateral for each in types),
         "prior-hold": first_where(each.holds for each in types),
+        "none": 0,
     }
     active_type = choice("--inference", name, active_types)
     if active_type is None:
         return model
-    return dataclasses.replace(model, inference=PriorEdges(types, active_type))
+    edges = PriorEdges(types, active_type) if active_type else NoEdges(types)
+    return dataclasses.replace(model, inference=edges)
+
+
+class NoEdges(PriorEdges):
+    """An ablation of contact: whatever is near, no edge is predicted to be active."""
+
+    def predict(
+        self, belief: ContactBelief, embedding: Array, prior: Array
+    ) -> tuple[ContactBelief, Array]:
+        """All edges are inactive, before and after the step."""
+        return super().predict(belief, embedding, jnp.zeros_like(prior).at[:, 0].set(1.0))
 
 
 def paper_options(model: str, graph: str, sampling: str, temperature: float) -> dict[str, Any]:
