@@ -7,8 +7,11 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+import contactgraph
 from contactgraph.cli import main as cli
 from contactgraph.cli.models import stored_model, with_inference
 from contactgraph.data import (
@@ -22,10 +25,12 @@ from contactgraph.model import (
     HOLD,
     ContactSensor,
     ModelConfig,
+    ModelState,
     PriorEdges,
     default_sensor,
     load_model,
     ours,
+    scene_nodes,
     shipped_model,
 )
 from contactgraph.model.motion_likelihood import motion_noise
@@ -37,6 +42,7 @@ def metrics_of(command: list[object], result: Path) -> dict:
 
 
 LEARNED = "that of the model"
+CLOSED_LOOP = "contactgraph.evaluate.control_task"
 OPEN_LOOP = "contactgraph.evaluate.evaluate_open_loop"
 FAULTS = "--false-alarms 0.05 --misses 0.2 --delay 2"
 
@@ -56,7 +62,7 @@ def test_the_flags_are_passed_on(
     fresh: Path, interrupted: Callable, command: str, flags: str, given: dict
 ) -> None:
     evaluates = command == "evaluate"
-    calls = interrupted(OPEN_LOOP if evaluates else "contactgraph.evaluate.control_task")
+    calls = interrupted(OPEN_LOOP if evaluates else CLOSED_LOOP)
     what = [str(fresh)] if evaluates else ["pickup", "--seed", "7"]
     assert cli.run([command, "pickup", *what, *flags.split()]) == 130
     (call,) = calls
@@ -70,23 +76,38 @@ def test_the_geometric_prior_takes_the_place_of_inference(
     fresh: Path, interrupted: Callable
 ) -> None:
     calls = interrupted(OPEN_LOOP)
-    for name in ("learned", "prior-touch", "prior-hold"):
+    controlled = interrupted(CLOSED_LOOP)
+    for name in ("filter", "prior-touch", "prior-hold", "none"):
         assert cli.run(["evaluate", "pickup", str(fresh), "--inference", name]) == 130
-    models = [call.arguments[0] for call in calls]
-    kinds = [type(model.inference).__name__ for model in models]
-    assert kinds == ["DurationEdges", "PriorEdges", "PriorEdges"]
-    assert [model.inference.active_type for model in models[1:]] == [1, 2]
+        assert cli.run(["control", "pickup", "pickup", "--inference", name]) == 130
+    for models in ([call.arguments[0] for call in made] for made in (calls, controlled)):
+        kinds = [type(model.inference).__name__ for model in models]
+        assert kinds == ["DurationEdges", "PriorEdges", "PriorEdges", "PriorEdges"]
+        assert [model.inference.active_type for model in models[1:]] == [1, 2, 0]
     two_types = ours(ModelConfig(2, 2, 0.05, width=4, edge_types=(HOLD,)), key=jax.random.key(0))
     for name in ("prior-touch", "prior-hold"):  # the only active type holds
         assert with_inference(two_types, name).inference == PriorEdges((HOLD,), 1)
-    with pytest.raises(InvalidInputError, match="--inference must be one of learned, prior-touch"):
+    with pytest.raises(InvalidInputError, match="--inference must be one of filter, prior-touch"):
         with_inference(two_types, "prior")
+
+
+def test_without_edges_no_contact_is_predicted() -> None:
+    model = with_inference(stored_model("pickup"), "none")
+    task = contactgraph.make("pickup")
+    observation, _ = task.reset(seed=0)
+    position = observation["position"]
+    position = jnp.asarray(position[0] + np.array([[0.0, 0.0], [0.08, 0.0]]))
+    nodes, still = scene_nodes(task.scene), jnp.zeros((2, 2))
+    start = ModelState(position, still, model.initial_belief(position, still, nodes))
+    rolled = model.rollout(start, jnp.tile(jnp.array([5.0, 0.0]), (4, 1)), nodes)
+    assert np.max(rolled.belief.probability) < 1e-6
+    assert np.allclose(rolled.position[:, 1], position[1], atol=1e-6)
 
 
 def test_evaluate_echoes_the_sensor(fresh: Path, tmp_path: Path) -> None:
     flags = ["--false-alarms", 0.05, "--delay", 2, "--ignore-motion"]
     values = metrics_of(["evaluate", "pickup", fresh, *flags], tmp_path / "spoiled.json")
-    assert (values["inference"], values["infer_contacts"]) == ("learned", False)
+    assert (values["inference"], values["infer_contacts"]) == ("filter", False)
     assert [values[name] for name in ("false_alarms", "misses", "delay")] == [0.05, 0, 2]
     assert values["edge_f1"] is not None
 

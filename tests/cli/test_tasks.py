@@ -127,11 +127,24 @@ def test_distractors_in_the_way() -> None:
 
 def test_the_options_of_suction_are_recorded(tmp_path: Path) -> None:
     hidden = tmp_path / "hidden.h5"
-    options = ["--episodes", "2", "--exploration", "0.5", "--hidden-switch", "--out", str(hidden)]
+    options = ["--episodes", "2", "--hidden-switch", "--out", str(hidden)]
     assert cli.run(["collect", "suction", *options]) == 0
     dataset = read_trajectories(hidden)
     assert dataset.metadata["hidden_switch"] is True
     assert [each.control.shape[1] for each in dataset] == [2, 2]
     assert [each.holding is not None for each in dataset] == [True, True]
     policies = [each.scene.metadata["policy"] for each in dataset]
-    assert policies == ["SuctionExpert", "HandlingPolicy"]
+    assert policies == ["SuctionExpert", "HandlingPolicy"], "half of them explore by default"
+
+
+@pytest.mark.parametrize(
+    ("options", "explored"),
+    [(["--exploration", "0"], 0), (["--expert", "demo"], 0), (["--resting", "0.75"], 1), ([], 2)],
+)
+def test_half_of_the_episodes_with_a_hidden_hold_explore(
+    options: list[str], explored: int, tmp_path: Path
+) -> None:
+    out = tmp_path / "delay.h5"
+    assert cli.run(["collect", "delay", "--episodes", "4", *options, "--out", str(out)]) == 0
+    policies = [each.scene.metadata["policy"] for each in read_trajectories(out)]
+    assert policies.count("HandlingPolicy") == explored

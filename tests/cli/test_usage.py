@@ -288,6 +288,19 @@ def test_a_closed_pipe_is_no_mistake() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_training_warns_of_pulls_that_tell_the_hold(
+    tmp_path: Path, interrupted: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted("contactgraph.train.fit")
+    command = ["collect", "suction", "--hidden-switch", "--episodes", "8", "--out"]
+    for data, options, warns in (("told", ["--exploration", "0"], True), ("half", [], False)):
+        path = str(tmp_path / f"{data}.h5")
+        assert cli.run([*command, path, *options]) == 0
+        assert cli.run(["train", path, "--out", str(tmp_path / data)]) == 130
+        said = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+        assert [" pulls at a body in contact it is held" in line for line in said] == [True] * warns
+
+
 def test_training_warns_of_velocities_that_contradict_positions(
     recorded: Path, tmp_path: Path, interrupted: Callable, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -116,8 +116,8 @@ def drawn(links):
     return changed(link_positions=lambda self: links)
 
 
-def with_cost(*arguments):
-    return changed(cost_terms=lambda self: ChainCost(*arguments))
+def with_cost(*arguments, **options):
+    return changed(cost_terms=lambda self: ChainCost(*arguments, **options))
 
 
 IGNORES_SEED = changed(reset=lambda self, **arguments: PickupTask.reset(self))
@@ -164,6 +164,10 @@ def test_a_task_may_be_drawn_and_may_observe_holding_and_orientation(task):
         (
             with_cost((0, 2), np.ones(4), np.ones(4), 1.0),
             r"cost_terms\(\).chain must name nodes 0 to 1, found \(0, 2\)",
+        ),
+        (
+            with_cost((0, 1), np.ones(4), np.ones(4), 1.0, candidates=(1, 2)),
+            r"cost_terms\(\).candidates must name nodes 0 to 1, found \(1, 2\)",
         ),
         (
             with_cost((0, 1), np.ones(6), np.ones(6), 1.0),

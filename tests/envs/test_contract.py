@@ -30,7 +30,10 @@ PLANAR = [
     *[("door", {"distractors": count}) for count in (0, 10)],
     *[(name, {"distractors": 1, "fixed_seed": 7}) for name in ("pickup", "multi-pickup", "door")],
     *[("billiards", {"objects": n, "passive": p}) for p in (False, True) for n in (1, 8 - 4 * p)],
-    *[(name, {"distractors": 3}) for name in ("suction", "release", "delay", "sticky")],
+    *[
+        (name, {"distractors": 3})
+        for name in ("suction", "release", "delay", "sticky", "look-alikes")
+    ],
     ("suction", {"hidden_switch": True}),
     ("unknown-mass", {"distractors": 3}),
     ("chain", {}),

@@ -1,5 +1,6 @@
 """Closed loop under controls of any kind: bounds by component, switches, targets, early ends."""
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -190,14 +191,15 @@ def test_a_policy_gets_the_seeds_of_a_model():
 
 
 def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
-    task = StickyTask()
+    class Chosen(StickyTask):
+        def cost_terms(self):
+            chosen = 1 + self.scene.metadata["seed"] % 3
+            return replace(super().cost_terms(), chain=(0, chosen))
+
+    task = Chosen()
     task.reset(seed=0)
     cost = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
-    orders = set()
-    for seed in range(8):
+    for seed in range(3):
         task.reset(seed=seed)
-        first = min(int(node) for node in task.scene.metadata["holders"].split())
-        assert cost.in_scene(task.scene).order == (0, first)
-        orders.add(first)
-    assert len(orders) >= 2
-    assert cost.order == (0, cost.terms.chain[1])
+        assert cost.in_scene(task.scene).order == (0, 1 + seed)
+    assert cost.order == (0, 1)

@@ -1,5 +1,7 @@
 """Delays and scores of beliefs by hand, and noisy observations."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from evaluation_worlds import DT, random_run, scene_of
@@ -35,6 +37,27 @@ def test_delays_by_hand(true, belief, onsets, breaks) -> None:
     assert counts.hits == np.sum(np.logical_and(true, belief))
     assert counts.misses + counts.false_alarms == np.sum(np.not_equal(true, belief))
     assert counts.total == len(true)
+
+
+@pytest.mark.parametrize(
+    ("contact", "holding", "belief", "breaks", "failed"),
+    [
+        # A hold ends while the bodies still touch.
+        ([0, 1, 1, 1, 1, 1], [0, 1, 1, 0, 0, 0], [0, 1, 1, 1, 1, 0], [2 * DT], []),
+        # A touch that does not hold: never taken for a hold, for two steps, until it does hold.
+        ([0, 0, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0], [], [0]),
+        ([0, 0, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0], [0, 0, 1, 1, 0, 0], [], [2 * DT]),
+        ([0, 0, 1, 1, 1, 1], [0, 0, 0, 0, 1, 1], [0, 0, 1, 1, 1, 1], [], [np.inf]),
+    ],
+)
+def test_delays_of_lost_and_failed_grasps(contact, holding, belief, breaks, failed) -> None:
+    held = run_of([*holding, 0]).contact
+    run = dataclasses.replace(run_of([*contact, 0]), holding=held)
+    found = estimated_contacts(run, np.array(belief)[:, None] * 0.8 + 0.1)
+    assert found.break_delays == pytest.approx(breaks)
+    assert found.failed_grasp_delays == pytest.approx(failed)
+    assert (found + found).to_json()["failed_grasps"] == 2 * len(failed)
+    assert found.edges.hits == np.sum(np.logical_and(holding, belief))
 
 
 def test_episodes_add_up() -> None:

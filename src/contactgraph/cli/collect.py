@@ -52,7 +52,9 @@ class Collect:
     """sampled: a goal and targets for each episode. fixed: the same for all."""
     expert: Annotated[str, arg(metavar="NAME")] = "train"
     """train: with noise on the force, to learn models from. demo: without, to learn costs from."""
-    exploration: float = 0.0
+    exploration: Annotated[
+        float | None, arg(metavar="SHARE", help_behavior_hint="(0.5 with a hidden hold, else 0)")
+    ] = None
     """Share of episodes with random forces in place of the expert."""
     resting: float = 0.0
     """Share of episodes without any force."""
@@ -87,21 +89,23 @@ class Collect:
         task = known_task(self.task)
         demonstrates = choice("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
-        check_share("--exploration", self.exploration)
         check_share("--resting", self.resting)
-        if self.exploration + self.resting > 1.0:
+        by_default = 0.0 if demonstrates else min(task.exploration, 1.0 - self.resting)
+        exploration = by_default if self.exploration is None else self.exploration
+        check_share("--exploration", exploration)
+        if exploration + self.resting > 1.0:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
-        if demonstrates and self.exploration + self.resting > 0.0:
+        if demonstrates and exploration + self.resting > 0.0:
             raise InvalidInputError(
                 "--expert demo: every episode is a demonstration, so --exploration and --resting "
                 "must be left out"
             )
-        if self.passive and (demonstrates or self.exploration > 0.0):
+        if self.passive and (demonstrates or exploration > 0.0):
             raise InvalidInputError(
                 "--passive: nothing is driven, so --expert demo and --exploration must be left out"
             )
         check_writable(self.out)
-        explorations = round(self.exploration * self.episodes)
+        explorations = round(exploration * self.episodes)
         rests = self.episodes if self.passive else round(self.resting * self.episodes)
         experts = self.episodes - explorations - rests
         policies = [expert() for _ in range(experts)]

@@ -20,6 +20,7 @@ from contactgraph.cli.options import (
     Grasp,
     HiddenSwitch,
     Horizon,
+    Inference,
     Misses,
     Objects,
     OutputFile,
@@ -41,7 +42,7 @@ demonstrations made: a plan that ends before their benefit would hover before th
 _RECORDED = (
     *("cost", "horizon", "iterations", "starts", "routes", "segment", "clearance", "replan_every"),
     *("false_alarms", "misses", "delay", "unmeasured"),
-    *("position_noise", "velocity_noise", "infer_contacts"),
+    *("position_noise", "velocity_noise", "infer_contacts", "inference"),
 )
 """Options that only a model takes; the JSON file repeats them."""
 _ROUTES = 7
@@ -114,6 +115,7 @@ class Control:
     """Correct the contact beliefs by the observed motion, too. This is the default."""
     ignore_motion: bool = False
     """Correct the contact beliefs by measured contacts alone."""
+    inference: Inference = "filter"
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None
@@ -128,7 +130,12 @@ class Control:
         Returns a function that gives the first episode, with its plans, a name to draw it under.
         """
         from contactgraph.cli.control_output import not_predicted
-        from contactgraph.cli.models import data_simulator, motion_evidence, stored_model
+        from contactgraph.cli.models import (
+            data_simulator,
+            motion_evidence,
+            stored_model,
+            with_inference,
+        )
         from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
         from contactgraph.cli.output import check_writable, progress
         from contactgraph.cli.task_types import given_options
@@ -170,7 +177,7 @@ class Control:
             )
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
         factory = task_factory(self.task, options)
-        model = stored_model(self.model)
+        model = with_inference(stored_model(self.model), self.inference)
         starts = self.starts
         if starts is None:
             starts = known.starts if searches(model) and not routes + self.segment else 0

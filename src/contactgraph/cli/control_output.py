@@ -46,6 +46,11 @@ def print_summary(metrics: ClosedLoopMetrics, predicted: Mapping[str, Any]) -> N
         f"{metrics.plan_ms_p99:.2f} ms 99 %"
     )
     print(f"contact estimate, F1       {'no contact' if f1 is None else f'{f1:.4f}'}")
+    lost = metrics.estimated.to_json()
+    if lost["breaks"]:
+        noticed = [lost[f"break_delay_ms_p{share}"] for share in (50, 95)]
+        late = ["not" if each is None else f"{each:.0f} ms" for each in noticed]
+        print(f"lost contact, noticed      {late[0]} median, {late[1]} 95 %")
     planned = metrics.planned
     if predicted["n_steps"] is not None:
         errors = predicted["n_step_rmse_moving_m"], predicted["n_step_rmse_m"]

@@ -13,6 +13,7 @@ from contactgraph.cli.options import (
     Delay,
     Device,
     FalseAlarms,
+    Inference,
     Misses,
     ModelArgument,
     OutputFile,
@@ -48,9 +49,7 @@ class Evaluate:
     """Correct beliefs by the observed motion, too. This is the default."""
     ignore_motion: bool = False
     """Correct beliefs by measured contacts alone."""
-    inference: Annotated[str, arg(metavar="NAME")] = "learned"
-    """Inference of edges: learned, or as an ablation prior-touch or prior-hold, the geometric prior
-    alone, of edges that touch or that hold."""
+    inference: Inference = "filter"
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
         None
     )

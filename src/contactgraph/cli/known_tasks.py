@@ -16,6 +16,8 @@ from contactgraph.envs import (
     DoorTask,
     ForcedPush,
     HandlingPolicy,
+    LookAlikesExpert,
+    LookAlikesTask,
     MultiPickupTask,
     PickupExpert,
     PickupTask,
@@ -52,12 +54,13 @@ def _passive(make: Callable[[], Task], summary: str) -> KnownTask:
 def _hidden_hold(
     make: Callable[..., Task], expert: Callable[..., Policy], summary: str
 ) -> KnownTask:
-    """A task in which geometry does not tell holding."""
+    """A task in which geometry does not tell the contact."""
     return KnownTask(
         make,
         expert,
         partial(expert, noise=0.0),
         explorer=HandlingPolicy,
+        exploration=0.5,
         summary=summary,
         conditions=(AS_TRAINED, THREE_DISTRACTORS),
     )
@@ -184,6 +187,11 @@ TASKS = {
         StickyTask,
         StickyExpert,
         "a gripper finds an object that holds among look-alikes, and takes it to a goal",
+    ),
+    "look-alikes": _hidden_hold(
+        LookAlikesTask,
+        LookAlikesExpert,
+        "of two look-alikes, one is welded to the table; a gripper holds the other at a goal",
     ),
     "pusht": _PUSHT,
     "pusht-pose": replace(

@@ -117,13 +117,14 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     """The model with the inference of ``--inference``.
 
     The geometric prior knows no types, so ``prior-touch`` and ``prior-hold`` say which one all its
-    active edges have. Of two types they are the same.
+    active edges have. Of two types they are the same. With ``none`` no edge is ever active.
     """
     types = model.inference.edge_types
     active_types = {
-        "learned": None,
+        "filter": None,
         "prior-touch": first_where(each.unilateral for each in types),
         "prior-hold": first_where(each.holds for each in types),
+        "none": 0,
     }
     active_type = choice("--inference", name, active_types)
     if active_type is None:

@@ -58,8 +58,8 @@ TaskArgument = Positional[
 Distractors = Annotated[
     int,
     arg(
-        help="Further bodies: pickups, suction, release, delay, sticky and unknown-mass 0 to 20, "
-        "door 0 to 10, franka 0 to 5."
+        help="Further bodies: pickups, suction, release, delay, sticky, look-alikes and "
+        "unknown-mass 0 to 20, door 0 to 10, franka 0 to 5."
     ),
 ]
 Objects = Annotated[
@@ -147,6 +147,15 @@ Clearance = Annotated[
         metavar="M",
         help="Gap to keep from bodies that the task does not name, m.",
         help_behavior_hint="(may touch them)",
+    ),
+]
+Inference = Annotated[
+    str,
+    arg(
+        metavar="NAME",
+        help="Inference of edges: filter, the model's own, or an ablation: prior-touch or "
+        "prior-hold, the geometric prior alone, of edges that touch or that hold; or none, without "
+        "edges.",
     ),
 ]
 OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]

@@ -72,6 +72,9 @@ class KnownTask:
     fixed_start: Callable[[], Policy] | None = None
     """Makes the scripted controller without model or search that plans are compared with."""
     explorer: Callable[[], Policy] = ExplorationPolicy
+    exploration: float = 0.0
+    """Default share of recorded episodes by the explorer: more than 0 where the expert sees what
+    its commands would otherwise tell a model, such as a hidden hold."""
     horizon: int = 20
     """Default planning horizon, steps."""
     starts: int = 0

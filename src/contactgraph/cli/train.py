@@ -118,7 +118,7 @@ class Train:
             without_turns,
         )
         from contactgraph.identify import in_units
-        from contactgraph.interchange import velocity_warning
+        from contactgraph.interchange import pull_warning, velocity_warning
         from contactgraph.large_scenes import ReallocatingModel
         from contactgraph.model import PRESETS
         from contactgraph.model.filter import check_controls
@@ -230,8 +230,7 @@ class Train:
             save_model(folder.model_path, best, options.model, facts.in_data, record)
 
         print(f"chosen by data and options:\n{facts_text(options.model, facts)}", flush=True)
-        warning = velocity_warning(recorded)
-        if warning is not None:
+        for warning in filter(None, (velocity_warning(recorded), pull_warning(recorded))):
             _warn(f"{self.data}: {warning}")
         with progress("training", config.steps) as bar:
             if math.isfinite(float(state.best_error)):

@@ -5,6 +5,7 @@ from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
 from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
 from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy
 from contactgraph.envs.carry_expert import CarryExpert as CarryExpert
+from contactgraph.envs.carry_expert import LookAlikesExpert as LookAlikesExpert
 from contactgraph.envs.carry_expert import StickyExpert as StickyExpert
 from contactgraph.envs.carry_expert import SuctionExpert as SuctionExpert
 from contactgraph.envs.chain import ChainTask as ChainTask
@@ -21,6 +22,7 @@ from contactgraph.envs.experts import PickupExpert as PickupExpert
 from contactgraph.envs.experts import RestPolicy as RestPolicy
 from contactgraph.envs.handling import HandlingPolicy as HandlingPolicy
 from contactgraph.envs.hidden_contact import DelayTask as DelayTask
+from contactgraph.envs.hidden_contact import LookAlikesTask as LookAlikesTask
 from contactgraph.envs.hidden_contact import ReleaseTask as ReleaseTask
 from contactgraph.envs.hidden_contact import StickyTask as StickyTask
 from contactgraph.envs.hidden_contact import SuctionTask as SuctionTask

@@ -5,7 +5,8 @@ import numpy as np
 from contactgraph.data import Scene
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.experts import CorrelatedNoise, carried_targets
-from contactgraph.envs.gripper_motion import GripperForces
+from contactgraph.envs.gripper_motion import GripperForces, limited
+from contactgraph.envs.gripper_task import GRIPPER
 
 _CALM = 0.15
 """Distance from the goal within which the noise on the force fades, m."""
@@ -156,6 +157,51 @@ class CarryExpert:
         return hand.press()
 
 
+_GENTLE = 3.0
+"""Force of a pull that ends no hold, N."""
+
+
+class LookAlikesExpert:
+    """Takes hold of the targets in random order, and carries the one that moves to the goal.
+
+    It pulls gently for 0.3 to 0.6 s, tears itself off a body that has not moved by then, and goes
+    to the next. It knows no more than what is observed. ``noise`` and ``correlation_steps`` are as
+    in `SuctionExpert`.
+    """
+
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
+        self._expert = _Expert(noise, correlation_steps)
+        self._due: list[int] = []
+        self._pulling = 0.0
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where nothing is to be carried."""
+        self._expert.reset(scene, seed)
+        self._due = [int(node) for node in self._expert.rng.permutation(self._expert.targets)]
+        self._pulling = self._expert.time(0.3, 0.6)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        hand = GripperForces(observation, self._due[0])
+        return self._force(hand, observation) + self._expert.faded_noise(hand)
+
+    def _force(self, hand: GripperForces, observation: Observation) -> np.ndarray:
+        if not hand.holds:
+            others = [node for node in self._due[1:] if observation["holding"][GRIPPER, node]]
+            return GripperForces(observation, others[0]).tear() if others else hand.approach()
+        if np.linalg.norm(hand.body_velocity) > _MOVES:
+            return hand.carry()
+        self._pulling -= self._expert.dt * (np.linalg.norm(hand.to_goal) > _NEAR)
+        if self._pulling <= 0.0:
+            self._due.append(self._due.pop(0))
+            self._pulling = self._expert.time(0.3, 0.6)
+        return limited(hand.carry(), _GENTLE)
+
+
+_MOVES = 0.02
+"""Speed above which a body is not welded, m/s."""
+_NEAR = 0.1
+"""Distance from the goal within which a body may rest, m."""
 _TRIAL_SPEED = 0.15
 """Of a body that is tried, m/s."""
 

@@ -69,8 +69,10 @@ def _check_scene(task: Task, observation: Observation) -> None:
 
 def _check_cost(task: Task) -> None:
     cost, scene = task.cost_terms(), task.scene
-    if max(cost.chain) >= scene.node_count:
-        _fail(f"cost_terms().chain must name nodes 0 to {scene.node_count - 1}, found {cost.chain}")
+    for name, nodes in (("chain", cost.chain), ("candidates", cost.candidates)):
+        if not all(0 <= node < scene.node_count for node in nodes):
+            most = scene.node_count - 1
+            _fail(f"cost_terms().{name} must name nodes 0 to {most}, found {nodes}")
     if cost.pick_weights.shape != (2 * scene.dimension,):
         _fail(
             f"cost_terms() must have {2 * scene.dimension} weights (position, velocity), "

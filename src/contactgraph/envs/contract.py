@@ -168,6 +168,9 @@ class ChainCost:
     """rad; of the last node at the goal, any turns of 2 pi from it. None: any angle."""
     angle_weight: float = 0.0
     """On the squared difference of its angle from there, 1/rad^2."""
+    candidates: tuple[int, ...] = ()
+    """Nodes of which any may stand in the chain's last place, where it is not known which one can
+    be carried; the controller tries them. Empty: the last node alone."""
     placed_radius: float = 0.0
     """m; nothing is left to be picked up, and `pick_weights` count as 0, while the last node is
     nearer to the goal: otherwise what has put it down would go on touching it."""
@@ -175,6 +178,11 @@ class ChainCost:
     def __post_init__(self) -> None:
         if not self.chain or len(set(self.chain)) != len(self.chain) or min(self.chain) < 0:
             raise InvalidInputError(f"chain must be different node indices, found {self.chain}")
+        if self.candidates and self.chain[-1] not in self.candidates:
+            raise InvalidInputError(
+                f"candidates must have the chain's last node {self.chain[-1]} among them, found "
+                f"{self.candidates}"
+            )
         for name in ("pick_weights", "goal_weights"):
             value = np.asarray(getattr(self, name), dtype=np.float64)
             object.__setattr__(self, name, value)
@@ -194,3 +202,12 @@ class ChainCost:
         for name in ("switching_cost", "placed_radius", "angle_weight"):
             if not getattr(self, name) >= 0.0:
                 raise InvalidInputError(f"{name} must be at least 0, found {getattr(self, name)}")
+
+    def ending_nearest(self, position: np.ndarray, goal: np.ndarray) -> tuple[int, ...]:
+        """The chain with the candidate in its last place that is nearest to the goal.
+
+        ``position`` is ``[N, D]`` m, ``goal`` ``[D]`` m.
+        """
+        nodes = self.candidates or self.chain[-1:]
+        distance = np.linalg.norm(position[list(nodes)] - goal, axis=-1)
+        return (*self.chain[:-1], nodes[int(distance.argmin())])

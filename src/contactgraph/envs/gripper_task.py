@@ -43,10 +43,10 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     """A gripper (node 0) that forces move among ``count - 1`` other bodies.
 
     The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
-    reward is the negative distance, m, from the last node of the cost's chain to the goal. An
-    episode always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the
-    goal on each axis; ``mass`` kg is the gripper's. ``passive``: nothing is driven, and the control
-    is empty.
+    reward is the negative distance, m, from the last node of the cost's chain, or the nearest
+    candidate for it, to the goal. An episode always runs for ``max_steps`` steps. ``extent`` m
+    bounds the start positions and the goal on each axis; ``mass`` kg is the gripper's.
+    ``passive``: nothing is driven, and the control is empty.
 
     A subclass defines the start of an episode, its success, and its cost.
     """
@@ -170,8 +170,9 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         assert self._episode is not None
         self._steps += 1
         observation = self.observed()
-        last = observation["position"][self.cost_terms().chain[-1]]
-        reward = -float(np.linalg.norm(last - observation["goal"]))
+        position, goal = observation["position"], observation["goal"]
+        last = self.cost_terms().ending_nearest(position, goal)[-1]
+        reward = -float(np.linalg.norm(position[last] - goal))
         over = self._steps == self.max_steps
         return observation, reward, False, over, {"success": self.success(), **info}
 

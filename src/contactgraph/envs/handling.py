@@ -19,7 +19,7 @@ _PATIENCE = 3.0
 _TEARING = 0.1
 """Time for which the gripper pulls with all its force when it leaves, s."""
 _DURATION = {
-    "press": (0.3, 1.5),
+    "press": (0.1, 1.5),
     "pull": (0.2, 0.6),
     "carry": (0.5, 1.5),
     "still": (0.2, 0.5),
@@ -33,7 +33,7 @@ class HandlingPolicy:
 
     It looks at positions and contacts, not at holding. A body is approached from the side from
     which pressing moves it towards a random point of the scene. A handling then is two to five
-    actions: the gripper presses it on for 0.3 to 1.5 s, pulls back for 0.2 to 0.6 s, or moves it
+    actions: the gripper presses it on for 0.1 to 1.5 s, pulls back for 0.2 to 0.6 s, or moves it
     about for 0.5 to 1.5 s; in the end it stands still and leaves. Contact that is lost ends it.
 
     Where the control has a switch, it is on at the start of half of the handlings, and changes
@@ -41,7 +41,7 @@ class HandlingPolicy:
     is the standard deviation of the force that is added on each axis.
     """
 
-    def __init__(self, press: float = 0.9, switching: float = 0.7, noise: float = 0.1) -> None:
+    def __init__(self, press: float = 0.7, switching: float = 0.7, noise: float = 0.1) -> None:
         if not (0.0 <= press <= 1.0 and switching >= 0.0):
             raise InvalidInputError(
                 f"press must be 0 to 1 and switching at least 0, found {press} and {switching}"
@@ -85,7 +85,7 @@ class HandlingPolicy:
         if self._action == "approach":
             if self._body in touching:
                 self._due = int(self._rng.integers(2, 6))
-                self._begin("press")
+                self._begin(self._drawn())
             elif self._left <= 0.0:
                 self._choose_body(observation["position"], touching)
         elif self._action == "leave":
@@ -96,9 +96,12 @@ class HandlingPolicy:
             self._switch, self._tearing = 0.0, self._left - _TEARING
         elif self._left <= 0.0:
             self._due -= 1
-            others = ("press", "pull", "carry")
-            shares = (self._press, (1.0 - self._press) / 2.0, (1.0 - self._press) / 2.0)
-            self._begin(str(self._rng.choice(others, p=shares)) if self._due > 0 else "still")
+            self._begin(self._drawn() if self._due > 0 else "still")
+
+    def _drawn(self) -> str:
+        """An action of a handling."""
+        others = (1.0 - self._press) / 2.0
+        return str(self._rng.choice(("press", "pull", "carry"), p=(self._press, others, others)))
 
     def _begin(self, action: str) -> None:
         self._action = action

@@ -1,4 +1,4 @@
-"""Tasks in which geometry does not tell holding: suction, release, delay and sticky."""
+"""Tasks in which geometry does not tell the contact: suction, release, delay and others."""
 
 from dataclasses import replace
 from typing import Any, cast
@@ -18,6 +18,7 @@ from contactgraph.envs.grip import (
 )
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
 from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata, at_goal
+from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import HoldRule, PlanarWorld
 
 PUT_DOWN_RADIUS = 0.02
@@ -36,6 +37,11 @@ _SWITCHING_COST = 0.015
 slowly is not taken again at once."""
 _PLACED_RADIUS = 0.008
 """Distance from the goal within which the target lies there, m; 0.02 are allowed."""
+_WELD_TENSION = 7.5
+"""Force that ends a hold of look-alikes, N: above half the largest control, so that it is no limit
+for a single free body."""
+WELDED_MASS = 100.0
+"""kg, of a welded body as far as a scene tells: no pull moves it noticeably."""
 REST_SPEED = 0.02
 """The target must be slower than this, m/s."""
 
@@ -187,5 +193,57 @@ class StickyTask(CarryTask):
         return any(at_goal(position[node], scene) for node in self._holders)
 
     def cost_terms(self) -> ChainCost:
-        """The weights of pickup, along the first target that holds in this episode."""
-        return replace(super().cost_terms(), chain=(GRIPPER, min(self._holders)))
+        """The weights of pickup, along any of the targets: which one holds must be found out."""
+        return replace(super().cost_terms(), candidates=tuple(range(1, 1 + self.targets)))
+
+
+class LookAlikesTask(CarryTask):
+    """Two look-alike bodies, one of them welded to the table; a `contactgraph.envs.Task`.
+
+    Which one is drawn for each episode, and nothing observed tells it but that it does not move.
+    The gripper holds what it touches until more than 7.5 N pull the pair apart, which its control
+    can do only where a body is welded; it can hold it again once it has parted. The control ``[2]``
+    N is a force on the gripper. The other body must end within 0.1 m of the goal, and held. Raises
+    `InvalidInputError` where ``distractors``, which are not welded, is not in 0 to 20.
+    """
+
+    name = "look-alikes"
+    any_order = True
+
+    def __init__(
+        self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
+    ) -> None:
+        super().__init__(distractors, fixed_seed, 2, engine=engine)
+        self._free = TARGET
+
+    def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
+        """That of a node, static where it is welded."""
+        # A stream of its own: the draws of the layout depend on the number of distractors.
+        self._free = int(np.random.default_rng([seed, 2]).integers(1, 3))
+        welded = node in (1, 2) and node != self._free
+        return replace(super().body(place, node, seed), static=welded)
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Holds of all bodies, that a pull ends."""
+        return BreakingHold(tension=_WELD_TENSION), {}
+
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
+        """Samples the scene of a seed, with everything at rest; its metadata name the free body."""
+        scene, world = super().begin(seed)
+        mass = np.array(scene.mass)
+        mass[3 - self._free] = WELDED_MASS
+        return replace(scene, mass=mass, metadata={**scene.metadata, "free": self._free}), world
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether the free body is within 0.1 m of the goal."""
+        return at_goal(position[self._free], scene)
+
+    def success(self) -> bool:
+        """Whether the episode is over, and the gripper holds the free body at the goal."""
+        return super().success() and bool(
+            cast(PlanarWorld, self.world).holding[GRIPPER, self._free]
+        )
+
+    def cost_terms(self) -> ChainCost:
+        """The weights of pickup, along either body."""
+        return replace(super().cost_terms(), candidates=(1, 2))

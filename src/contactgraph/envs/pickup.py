@@ -1,7 +1,7 @@
 """Tasks in which a gripper carries discs: their base, and the paper's two pickups."""
 
 from abc import abstractmethod
-from typing import cast
+from typing import ClassVar, cast
 
 import gymnasium
 import numpy as np
@@ -58,6 +58,8 @@ class CarryTask(GripperTask):
 
     name: str
     """Of the task, for the scene's metadata."""
+    any_order: ClassVar = False
+    """Whether any target may be carried first: see `sample_layout`."""
 
     def __init__(
         self,
@@ -86,7 +88,8 @@ class CarryTask(GripperTask):
         self._fixed_seed, self._engine, self._holding = fixed_seed, engine, holding
         self._radius, self._in_the_way = radius, in_the_way
         self._fixed = fixed_layout(
-            fixed_seed, lambda rng: sample_layout(rng, targets, MAX_DISTRACTORS)
+            fixed_seed,
+            lambda rng: sample_layout(rng, targets, MAX_DISTRACTORS, any_order=self.any_order),
         )
         if holding:
             assert isinstance(self.observation_space, gymnasium.spaces.Dict)
@@ -103,7 +106,9 @@ class CarryTask(GripperTask):
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
         rng = np.random.default_rng(seed)
-        layout = sample_layout(rng, self.targets, self.distractors, self._fixed, self._in_the_way)
+        layout = sample_layout(
+            rng, self.targets, self.distractors, self._fixed, self._in_the_way, self.any_order
+        )
         # A stream of its own: the draws of the layout depend on the number of distractors.
         rule, drawn = self.hold_rule(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
         bodies = [self.body(place, node, seed) for node, place in enumerate(layout.position)]

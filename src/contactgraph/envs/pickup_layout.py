@@ -73,11 +73,13 @@ def sample_layout(
     distractors: int,
     fixed: PickupLayout | None = None,
     in_the_way: bool = False,
+    any_order: bool = False,
 ) -> PickupLayout:
     """Samples start positions and a goal, uniformly over those that satisfy the distances above.
 
     Distractors are clear of the paths; or, ``in_the_way``, they stand anywhere but at the stops,
-    and a body that goes straight from stop to stop touches two of them or more.
+    and a body that goes straight from stop to stop touches two of them or more. With ``any_order``
+    no target stands on the way to or from another one, so that any may be carried, alone.
 
     With ``fixed``, the targets and the goal are those of this layout; all else is sampled. A
     layout without space for every distractor is rejected as a whole and sampled again, so that
@@ -87,7 +89,7 @@ def sample_layout(
         stops = _uniform(rng, targets + 2, HALF_WIDTH)
         if fixed is not None:
             stops[1:] = fixed.stops[1:]
-        if not _passable(stops):
+        if not _passable(stops) or (any_order and not _passable_for_each(stops)):
             continue
         others = _place_distractors(rng, stops, distractors, in_the_way)
         if others is not None:
@@ -144,6 +146,16 @@ def _crossed(distractors: np.ndarray, stops: np.ndarray) -> int:
 def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:
     inside = half_width - RADIUS
     return rng.uniform(-inside, inside, (count, 2))
+
+
+def _passable_for_each(stops: np.ndarray) -> bool:
+    """Whether each target can be reached, and taken to the goal, without the others."""
+    gripper, targets, goal = stops[0], stops[1:-1], stops[-1]
+    return all(
+        distance_to_path(other, *path, OVERSHOOT) >= TARGET_CORRIDOR
+        for one, other in itertools.permutations(targets, 2)
+        for path in ((gripper, one), (one, goal))
+    )
 
 
 def _paths(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

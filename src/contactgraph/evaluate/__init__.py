@@ -34,5 +34,6 @@ from contactgraph.evaluate.sensor_faults import ObservationNoise as ObservationN
 from contactgraph.evaluate.sensor_faults import SensorFaults as SensorFaults
 from contactgraph.evaluate.statistics import number_or_word as number_or_word
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval
+from contactgraph.evaluate.task_cost import CandidateTrials as CandidateTrials
 from contactgraph.evaluate.task_cost import SceneCost as SceneCost
 from contactgraph.evaluate.task_cost import TaskCost as TaskCost

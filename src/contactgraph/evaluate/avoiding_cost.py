@@ -35,6 +35,11 @@ class AvoidingCost:
         """The nodes of the other cost."""
         return self.cost.order
 
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """Those of the other cost."""
+        return self.cost.candidates
+
     def in_scene(self, scene: Scene) -> "AvoidingCost":
         """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
         known = scene.radius is not None and bool(np.all(np.isfinite(scene.radius)))
@@ -44,8 +49,9 @@ class AvoidingCost:
                 "clearance of 0 they are not touched as far as the model believes"
             )
         cost = self.cost.in_scene(scene)
-        others = [node for node in range(scene.node_count) if node not in cost.order]
-        pairs = np.array([(one, other) for one in cost.order for other in others], int)
+        handled = tuple(dict.fromkeys((*cost.order, *cost.candidates)))
+        others = [node for node in range(scene.node_count) if node not in handled]
+        pairs = np.array([(one, other) for one in handled for other in others], int)
         pairs = pairs.reshape(-1, 2)
         if not len(pairs):
             return replace(self, cost=cost, contacts=())
@@ -68,4 +74,5 @@ class AvoidingCost:
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The other cost, with what is to be avoided."""
-        return replace(self.cost.quadratic(node_count), contacts=self.contacts)
+        cost = self.cost.quadratic(node_count)
+        return replace(cost, contacts=(*cost.contacts, *self.contacts))

@@ -71,10 +71,12 @@ def control_task(
 
     def judge(trajectory: Trajectory) -> None:
         nonlocal planned, estimated
-        record, labelled = policy.record(), _labelled(trajectory)
+        record, holding = policy.record(), trajectory.holding
         plan_ms.append(record.plan_ms)
+        # Contacts as the policy's sensor reports them: see `MPCPolicy`.
+        labelled = trajectory if holding is None else replace(trajectory, contact=holding)
         planned += plan_tracking_error(labelled, record)
-        estimated += estimated_contacts(labelled, record.estimated)
+        estimated += estimated_contacts(trajectory, record.estimated)
         if on_episode is not None:
             on_episode(trajectory, record)
 
@@ -210,7 +212,11 @@ def _run(
     for seed in seeds:
         trajectories.append(run_episode(task, policy, seed))
         succeeded.append(task.success())
-        chains.append(task.cost_terms().chain)
+        terms, scene = task.cost_terms(), task.scene
+        ends = terms.chain
+        if scene.goal is not None:
+            ends = terms.ending_nearest(trajectories[-1].position[-1], scene.goal)
+        chains.append(ends)
         after(trajectories[-1])
     return trajectories, succeeded, chains
 
@@ -229,9 +235,3 @@ def _limits(task: Task) -> ControlLimits:
     if not np.size(box.low):
         raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
     return ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
-
-
-def _labelled(trajectory: Trajectory) -> Trajectory:
-    """The trajectory with the contacts that the policy's sensor reports: see `MPCPolicy`."""
-    holding = trajectory.holding
-    return trajectory if holding is None else replace(trajectory, contact=holding)

@@ -90,9 +90,10 @@ def _share(part: int, whole: int) -> float | None:
 class EstimatedContacts(Sums):
     """Beliefs about the step just made, corrected by all observations; episodes add up.
 
-    A delay lasts from the first observation at which a contact exists, or no longer exists, to the
-    first one from then on at which the belief agrees; 0 where the belief agreed at once or before,
-    infinite where it never agreed while the contact, or its absence, lasted.
+    They are about holds where these were recorded, else about contacts. A delay lasts from the
+    first observation at which a contact exists, or no longer exists, to the first one from then on
+    at which the belief agrees; 0 where the belief agreed at once or before, infinite where it never
+    agreed while the contact, or its absence, lasted.
     """
 
     edges: EdgeCounts = field(default_factory=EdgeCounts)
@@ -101,6 +102,8 @@ class EstimatedContacts(Sums):
     """s; of every contact that began."""
     break_delays: tuple[float, ...] = ()
     """s; of every contact that ended."""
+    failed_grasp_delays: tuple[float, ...] = ()
+    """s; of every touch that began without a hold, as long as it does not hold."""
 
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not known, or infinite because the contact
@@ -115,32 +118,43 @@ class EstimatedContacts(Sums):
             "breaks": len(self.break_delays),
             "break_delay_ms_p50": _percentile_ms(self.break_delays, 50.0),
             "break_delay_ms_p95": _percentile_ms(self.break_delays, 95.0),
+            "failed_grasps": len(self.failed_grasp_delays),
+            "failed_grasp_delay_ms_p50": _percentile_ms(self.failed_grasp_delays, 50.0),
+            "failed_grasp_delay_ms_p95": _percentile_ms(self.failed_grasp_delays, 95.0),
         }
 
 
 def estimated_contacts(trajectory: Trajectory, belief: np.ndarray) -> EstimatedContacts:
     """The estimates of one episode; empty where contacts were not recorded.
 
-    ``belief``: [S, E] probabilities at the first S observations, in `pair_indices`' order.
+    ``belief``: [S, E] probabilities at the first S observations, in `pair_indices`' order; of
+    holding, where the trajectory tells it.
     """
     if trajectory.contact is None:
         return EstimatedContacts()
     first, second = pair_indices(trajectory.scene.node_count).T
-    true = trajectory.contact[: len(belief), first, second].astype(bool)
+    labels = trajectory.contact if trajectory.holding is None else trajectory.holding
+    contact, true = (
+        each[: len(belief), first, second].astype(bool) for each in (trajectory.contact, labels)
+    )
     estimated = belief > 0.5
     exists = np.ones((1, len(first)), dtype=bool)
     dt = trajectory.scene.dt
     return EstimatedContacts(
         edges=edge_counts(estimated[None], true[None], exists),
-        onset_delays=_delays(estimated, true, dt),
-        break_delays=_delays(~estimated, ~true, dt),
+        onset_delays=_delays(estimated, true, true, dt),
+        break_delays=_delays(~estimated, ~true, ~true, dt),
+        failed_grasp_delays=_delays(~estimated, contact & ~true, contact, dt),
     )
 
 
-def _delays(active: np.ndarray, true: np.ndarray, dt: float) -> tuple[float, ...]:
-    """s; of every interval of ``true`` [S, E] that begins after the first observation."""
+def _delays(
+    active: np.ndarray, true: np.ndarray, within: np.ndarray, dt: float
+) -> tuple[float, ...]:
+    """s; of every interval of ``true`` [S, E] that begins after the first observation, together
+    with one of ``within``."""
     delays = []
-    for last_without, edge in np.argwhere(true[1:] & ~true[:-1]):
+    for last_without, edge in np.argwhere(true[1:] & ~within[:-1]):
         begin = last_without + 1
         after = true[begin:, edge]
         lasts = len(after) if after.all() else int(np.argmin(after))

@@ -12,6 +12,7 @@ from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.data.dataset import far_origin, scene_about
 from contactgraph.envs.contract import Feedback, Observation
+from contactgraph.evaluate.avoiding_cost import AvoidingCost
 from contactgraph.evaluate.plan_tracking import (
     EpisodeRecord,
     edge_probabilities,
@@ -19,7 +20,7 @@ from contactgraph.evaluate.plan_tracking import (
     planned_positions,
 )
 from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
-from contactgraph.evaluate.task_cost import SceneCost
+from contactgraph.evaluate.task_cost import CandidateTrials, SceneCost
 from contactgraph.model import ContactBelief, scene_nodes
 
 _EXACT = SensorFaults()
@@ -69,6 +70,7 @@ class MPCPolicy:
         self._cost = cost
         self._scene_cost = cost
         self._chain = self._order = cost.order
+        self._trials = CandidateTrials(cost)
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
@@ -98,6 +100,7 @@ class MPCPolicy:
         """
         self._scene_cost = self._cost.in_scene(scene)
         self._chain = self._order = self._scene_cost.order
+        self._trials = CandidateTrials(self._scene_cost)
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._steps = scene, None, []
         self._applied = self._origin = None
@@ -113,7 +116,7 @@ class MPCPolicy:
             self._begin(self._scene, observation["position"])
             observation = self._about_origin(observation)
             nodes = scene_nodes(self._scene, self._capacity)
-            self._state = self._mpc.reset(observation, nodes, self._scene_cost)
+            self._state = self._mpc.reset(observation, nodes, self._cost_of(self._order))
         else:
             observation = self._about_origin(observation)
         contacts = self._contacts(observation)
@@ -218,10 +221,38 @@ class MPCPolicy:
         """The cost where the nodes are as observed; None: it is that of the last step."""
         before, order = self._scene_cost, self._order
         self._scene_cost = before.seeing(observation)
-        self._order = self._grasped_first(self._state)
+        if self._scene_cost.candidates:
+            self._order = (*self._chain[:-1], self._candidate(observation))
+        else:
+            self._order = self._grasped_first(self._state)
         if self._scene_cost is before and self._order == order:
             return None
-        return self._scene_cost.among(self._order)
+        return self._cost_of(self._order)
+
+    def _cost_of(self, order: tuple[int, ...]) -> SceneCost:
+        """The cost along these nodes; of candidates it also avoids those that were given up."""
+        cost = self._scene_cost.among(order)
+        if not cost.candidates or self._scene is None:
+            return cost
+        return AvoidingCost(cost, contacts=(self._trials.avoided(self._scene.dimension),))
+
+    def _candidate(self, observation: Observation) -> int:
+        """The one that the plan is to be about, by the beliefs about the step just made."""
+        assert self._scene is not None
+        count = self._scene.node_count
+        first, second = pair_indices(count).T
+
+        def believed(holds: bool) -> np.ndarray:
+            paired = np.zeros((count, count), dtype=bool)
+            paired[first, second] = (
+                edge_probabilities(self._state.last.belief, self._state.node_ids, count, holds)
+                > 0.5
+            )
+            return (paired | paired.T)[self._chain[0]]
+
+        return self._trials.choose(
+            observation, believed(False), believed(self._holds), self._scene.dt
+        )
 
     def _grasped_first(self, state: MPCState) -> tuple[int, ...]:
         """The nodes of the cost with the grasped ones before those still to be picked up.

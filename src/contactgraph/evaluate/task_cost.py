@@ -6,9 +6,19 @@ from typing import Protocol
 
 import numpy as np
 
-from contactgraph.control import Cost, QuadraticCost, chain_cost
+from contactgraph.control import ContactCost, Cost, QuadraticCost, avoid, chain_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
+
+_IN_VAIN_S = 0.5
+"""Time of trying a candidate in vain after which another one's turn comes, s."""
+_STILL = 0.02
+"""m/s, up to which a body does not move."""
+_GIVEN_UP_WEIGHT = 100.0
+"""Of a step in which a candidate that was given up is believed to be touched: what holds the
+gripper, and is known to be heavy, is torn off by a plan only if that pays."""
+_THERE = 0.1
+"""m from the goal, up to which a body may rest there."""
 
 
 class SceneCost(Cost, Protocol):
@@ -21,8 +31,12 @@ class SceneCost(Cost, Protocol):
     def in_scene(self, scene: Scene) -> "SceneCost":
         """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
 
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """Nodes of which any may stand in the last place of ``order``; empty: that one alone."""
+
     def among(self, nodes: Sequence[int]) -> "SceneCost":
-        """The same with its nodes in another order."""
+        """The same with its nodes in another order, or another candidate in the last place."""
 
     def seeing(self, observation: Observation) -> "SceneCost":
         """The cost where the nodes are as observed; itself, if nothing changes."""
@@ -66,6 +80,11 @@ class TaskCost:
         terms = self.terms if self.current_terms is None else self.current_terms()
         return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
 
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """See `ChainCost.candidates`."""
+        return self.terms.candidates
+
     def among(self, nodes: Sequence[int]) -> "TaskCost":
         """The cost along the chain in another order."""
         return replace(self, order=tuple(nodes))
@@ -103,3 +122,52 @@ class TaskCost:
         if not self.turns:
             return cost
         return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
+
+
+class CandidateTrials:
+    """The candidate that plans are about; remembers for how long each has been tried in vain.
+
+    That is the time in contact without a hold, or in a hold at rest more than 0.1 m from the goal,
+    since it last moved in a hold. A candidate is given up, and avoided, after half a second of it,
+    as long as there is one that was tried for less. Before that one that is held comes first, then
+    the present one, then the nearest.
+    """
+
+    def __init__(self, cost: SceneCost) -> None:
+        self._hand, self._candidates = cost.order[0], cost.candidates
+        self._present: int | None = None
+        self._in_vain = dict.fromkeys(cost.candidates, 0.0)
+
+    def choose(
+        self, observation: Observation, contact: np.ndarray, holding: np.ndarray, dt: float
+    ) -> int:
+        """The candidate for the coming plan, ``dt`` s after the last one.
+
+        ``contact`` and ``holding`` are what is believed of the first node and every node [N], bool.
+        """
+        position, goal = observation["position"], observation["goal"]
+        away = np.linalg.norm(position - position[self._hand], axis=-1)
+        missing = np.linalg.norm(position - goal, axis=-1)
+        moves = np.linalg.norm(observation["velocity"], axis=-1) > _STILL
+        for node in self._candidates:
+            if holding[node] and moves[node]:
+                self._in_vain[node] = 0.0
+            elif contact[node] and not (holding[node] and missing[node] < _THERE):
+                self._in_vain[node] += dt
+
+        def rank(node: int) -> tuple[int, bool, bool, float]:
+            other = self._present is not None and node != self._present
+            return self._rounds(node), not holding[node], other, float(away[node])
+
+        self._present = min(self._candidates, key=rank)
+        return self._present
+
+    def avoided(self, dimension: int) -> ContactCost:
+        """What touching the candidates costs that have been given up; of the same shapes always."""
+        pairs = [(self._hand, node) for node in self._candidates]
+        given_up = [self._rounds(node) > 0 and node != self._present for node in self._candidates]
+        return avoid(pairs, _GIVEN_UP_WEIGHT * np.array(given_up), dimension)
+
+    def _rounds(self, node: int) -> int:
+        """Times that it has been tried in vain."""
+        return int(self._in_vain[node] / _IN_VAIN_S + 1e-9)

@@ -369,6 +369,7 @@ class PriorEdges(EdgeInference):
 
     edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=(HOLD,))
     active_type: int = eqx.field(static=True, default=1)
+    """With 0, the free type, no edge is ever active."""
     least: float = eqx.field(static=True, default=0.0)
     """Probability that an edge is active whatever its prior."""
 
@@ -378,6 +379,6 @@ class PriorEdges(EdgeInference):
         """The prior; pairs of equal types, none of which motion makes possible if it is not."""
         active = self.least + (1.0 - self.least) * jnp.sum(prior[:, 1:], axis=-1)
         types = jnp.zeros_like(prior).at[:, 0].set((1.0 - self.least) * prior[:, 0])
-        types = types.at[:, self.active_type].set(active)
+        types = types.at[:, self.active_type].add(active)
         joint = types[:, :, None] * jnp.eye(types.shape[-1], dtype=types.dtype)
         return ContactBelief(types, edge_types=self.edge_types), joint

@@ -1,6 +1,8 @@
 """Recordings of other formats: read by an import map, and written from datasets."""
 
 from contactgraph.interchange.conversion import to_trajectories as to_trajectories
+from contactgraph.interchange.motion import pull_warning as pull_warning
+from contactgraph.interchange.motion import pulls as pulls
 from contactgraph.interchange.motion import velocity_mismatch as velocity_mismatch
 from contactgraph.interchange.motion import velocity_warning as velocity_warning
 from contactgraph.interchange.recording import Column as Column

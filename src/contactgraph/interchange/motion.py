@@ -30,6 +30,12 @@ _STANDS = 0.01
 """Of the extent of all positions, up to which a static body's are noise."""
 _MISMATCH_STEPS = 10
 _MISMATCH_LIMIT = 0.1
+_PULL = 0.5
+"""N away from a body in contact, above which a command is a pull."""
+_PULLS, _HELD = 30, 0.95
+"""Pulls that are too few to tell, and the share of held bodies among them that tells the hold."""
+_ALWAYS_HELD = 0.9
+"""Share of held bodies in contact above which hardly any hold is in question."""
 _AT_REST = 1e-4
 """Displacement up to which a body rests, as a share of the extent of all positions: contacts that
 bear a body move it by rounding."""
@@ -199,3 +205,44 @@ def velocity_warning(dataset: Dataset) -> str | None:
         f"velocities contradict positions in {len(wrong)} of {len(dataset)} trajectories, by "
         f"{100 * mismatch[worst]:.0f} % of the motion in trajectory {worst}; check units and dt"
     )
+
+
+def pulls(trajectory: Trajectory) -> np.ndarray:
+    """[P] bool: whether a body is held, for each time that a force begins to pull it.
+
+    That is a force of more than 0.5 N on the first actuated body, away from a body that it touches
+    or holds. None where holding was not recorded, or the control is no force.
+    """
+    scene, none = trajectory.scene, np.zeros(0, dtype=bool)
+    kinds = scene.control_kind or ("force",) * trajectory.control_size
+    if trajectory.contact is None or trajectory.holding is None or not scene.actuated.any():
+        return none
+    if kinds[: scene.dimension] != ("force",) * scene.dimension:
+        return none
+    hand = int(scene.actuated.argmax())
+    away = trajectory.position[:-1, hand, None] - trajectory.position[:-1]
+    distance = np.maximum(np.linalg.norm(away, axis=-1), 1e-9)
+    force = np.einsum("tnd,td->tn", away, trajectory.control[:, : scene.dimension]) / distance
+    pulled = trajectory.contact[:-1, hand] & (force > _PULL)
+    begins = pulled & ~np.concatenate([np.zeros_like(pulled[:1]), pulled[:-1]])
+    return trajectory.holding[:-1, hand][begins]
+
+
+def pull_warning(dataset: Dataset) -> str | None:
+    """One line where bodies are pulled almost only while they are held, but not touched so: a model
+    would learn from the force that it holds, and could not plan to pull."""
+    held = np.concatenate([pulls(each) for each in dataset])
+    touched = np.concatenate([_held_in_contact(each) for each in dataset])
+    if len(held) < _PULLS or held.mean() <= _HELD or touched.mean() > _ALWAYS_HELD:
+        return None
+    return (
+        f"in {held.sum()} of {len(held)} pulls at a body in contact it is held, so that the force "
+        "tells what only motion should; record with --exploration 0.5"
+    )
+
+
+def _held_in_contact(trajectory: Trajectory) -> np.ndarray:
+    """Whether the pair holds, bool, of each pair in contact in each state."""
+    if trajectory.contact is None or trajectory.holding is None:
+        return np.zeros(0, dtype=bool)
+    return trajectory.holding[trajectory.contact]

@@ -52,7 +52,8 @@ class View:
         """A new scene; ``about``: what else the page tells of it."""
         scene, choice, task = stage.task.scene, stage.choice, stage.task
         drawn = _scene_of(scene, choice.task, episode, np.shape(task.action_space.sample())[0])
-        chain = [int(node) for node in task.cost_terms().chain]
+        terms = task.cost_terms()
+        chain = [*terms.chain, *(node for node in terms.candidates if node != terms.chain[-1])]
         message = {
             **about,
             "type": "scene",
@@ -110,8 +111,9 @@ class View:
             "reliability": _reliability(self._calibration),
         }
         if stage is not None and episode is not None:
-            goal, last = stage.task.scene.goal, stage.task.cost_terms().chain[-1]
-            position = episode.observation["position"][last]
+            goal, position = stage.task.scene.goal, episode.observation["position"]
+            if goal is not None:
+                position = position[stage.task.cost_terms().ending_nearest(position, goal)[-1]]
             distance = None if goal is None else number(float(np.linalg.norm(position - goal)))
             values |= {
                 "goal": None if goal is None else goal.tolist(),
