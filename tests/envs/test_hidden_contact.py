@@ -278,14 +278,14 @@ def test_one_of_two_look_alikes_is_welded_and_only_its_rest_tells(recorded):
     assert 0 < len(tried) < 6, "the expert does not know which one is welded"
 
 
-def test_the_free_look_alike_must_end_held_at_the_goal(monkeypatch):
+def test_the_free_look_alike_must_end_in_contact_at_the_goal(monkeypatch):
     task = LookAlikesTask()
     assert (task.reset(seed=0), task.cost_terms().candidates)[1] == (1, 2)
     free = task.scene.metadata["free"]
     for _ in range(task.max_steps):
         assert not task.success()
         task.step(np.zeros(2))
-    position, holding = task.world.position, np.zeros((3, 3), dtype=bool)
+    position, contact = task.world.position, np.zeros((3, 3), dtype=bool)
     monkeypatch.setattr(type(task.world), "position", position)
     for node, away, held, success in [
         (free, 0.0999, True, True),
@@ -295,10 +295,10 @@ def test_the_free_look_alike_must_end_held_at_the_goal(monkeypatch):
     ]:
         position[:] = 9.0
         position[node] = task.scene.goal + np.array([0.0, away])
-        holding[GRIPPER, node] = held
-        monkeypatch.setattr(type(task.world), "holding", holding.copy())
+        contact[GRIPPER, node] = held
+        monkeypatch.setattr(type(task.world), "contact", contact.copy())
         assert task.success() is success, (node, away, held)
-        holding[:] = False
+        contact[:] = False
 
 
 @pytest.mark.parametrize("fixed", [None, 3])

@@ -23,8 +23,6 @@ FRICTION = 0.1
 """Coulomb's coefficient between two discs."""
 GROUND_FRICTION = 0.05
 """Coulomb's coefficient between a disc and the table: a deceleration of 0.49 m/s^2."""
-GOAL_RADIUS = 0.1
-"""The target must end within this distance of the goal, m."""
 MAX_STEPS = 200
 PASSIVE_STEPS = 80
 MAX_OBJECTS = 8
@@ -217,11 +215,6 @@ class BilliardsTask(GripperTask):
             },
         )
         return scene, world
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the target is within 0.1 m of the goal."""
-        target = position[scene.node_name.index("target")]
-        return float(np.linalg.norm(target - scene.goal)) <= GOAL_RADIUS
 
     def cost_terms(self) -> ChainCost:
         """Cue to target and target to goal, with the weights of the pickup; the end counts most."""

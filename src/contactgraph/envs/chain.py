@@ -1,15 +1,11 @@
 """The task ``chain``: a gripper drags two links, joined by a hinge, over a table."""
 
 from dataclasses import replace
-from typing import cast
 
-import gymnasium
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import Observation
 from contactgraph.envs.gripper_task import DT, MASS
-from contactgraph.envs.pickup import at_goal
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.shaped_tasks import ShapedTask, box_outline
@@ -39,12 +35,11 @@ class ChainTask(ShapedTask):
     """
 
     name = "chain"
+    observes_holding = True
 
     def __init__(self, engine: str | None = None) -> None:
         super().__init__(3, CHAIN_STEPS, 1.5, DT)
         self._engine = engine
-        spaces = cast(gymnasium.spaces.Dict, self.observation_space).spaces
-        spaces["holding"] = gymnasium.spaces.MultiBinary((3, 3))
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed, with everything at rest."""
@@ -81,12 +76,3 @@ class ChainTask(ShapedTask):
             },
         )
         return scene, world
-
-    def observed(self) -> Observation:
-        """The observation of the present state, with what is held."""
-        holding = cast(PlanarWorld, self.world).holding
-        return {**super().observed(), "holding": holding.astype(np.int8)}
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the target is within 0.1 m of the goal."""
-        return at_goal(position[-1], scene)

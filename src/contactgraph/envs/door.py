@@ -136,8 +136,6 @@ DOOR_MASS = 4.0
 GRIPPER_RADIUS = 0.04
 """m."""
 MAX_DISTRACTORS = 10
-GOAL_RADIUS = 0.05
-"""The door's middle must end within this distance of the goal, m: 0.1 rad."""
 
 
 class DoorTask(GripperTask):
@@ -157,11 +155,11 @@ class DoorTask(GripperTask):
     10.
     """
 
+    goal_radius = 0.05
+    """m: 0.1 rad."""
+
     def __init__(
-        self,
-        distractors: int = 0,
-        fixed_seed: int | None = None,
-        engine: str | None = None,
+        self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
     ) -> None:
         if not 0 <= distractors <= MAX_DISTRACTORS:
             raise InvalidInputError(
@@ -210,8 +208,7 @@ class DoorTask(GripperTask):
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether the gripper is at the door, and its middle within 0.05 m of the goal."""
-        distance = float(np.linalg.norm(position[DOOR] - scene.goal))
-        return bool(contact[GRIPPER, DOOR]) and distance <= GOAL_RADIUS
+        return bool(contact[GRIPPER, DOOR]) and super().solved(scene, position, contact)
 
     def cost_terms(self) -> ChainCost:
         """Gripper to door with the paper's weights, door to goal with those of pickup.

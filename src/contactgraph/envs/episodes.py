@@ -22,23 +22,15 @@ from contactgraph.envs.contract import (
 )
 from contactgraph.parallel import Executor, map_in_order
 
-StepCallback = Callable[[int, Observation, np.ndarray], None]
-"""Called after every step with its index, the observation before it and the control ``[U]`` N."""
 
-
-def run_episode(
-    task: Task, policy: Policy, seed: int, on_step: StepCallback | None = None
-) -> Trajectory:
+def run_episode(task: Task, policy: Policy, seed: int) -> Trajectory:
     """Runs one `Episode` to its end and records it: ``T`` controls, ``T + 1`` states and contacts.
 
     Raises `InvalidInputError` where the seed is negative.
     """
     episode = Episode(task, policy, seed)
     while not episode.over:
-        observation = episode.observation
-        control = episode.step()
-        if on_step is not None:
-            on_step(episode.steps - 1, observation, control)
+        episode.step()
     return episode.trajectory()
 
 

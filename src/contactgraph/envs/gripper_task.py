@@ -48,10 +48,14 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     bounds the start positions and the goal on each axis; ``mass`` kg is the gripper's.
     ``passive``: nothing is driven, and the control is empty.
 
-    A subclass defines the start of an episode, its success, and its cost.
+    A subclass defines the start of an episode, its cost, and what more a success demands.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
+    goal_radius = 0.1
+    """The last node of the cost's chain must end within this distance of the goal, m."""
+    observes_holding = False
+    """Whether observations have the key ``holding``, beside contacts: touching or holding."""
 
     def __init__(
         self,
@@ -72,7 +76,10 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
         distance = extent + speed * max_steps * dt
-        self.observation_space = _observation_space(count, dimension, extent, distance, speed)
+        space = _observation_space(count, dimension, extent, distance, speed)
+        if self.observes_holding:
+            space.spaces["holding"] = space.spaces["contact"]
+        self.observation_space = space
         self._shape = count, dimension
         self._pushed: np.ndarray = np.zeros(self._shape)
         self._steps = 0
@@ -81,10 +88,6 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     @abstractmethod
     def begin(self, seed: int) -> tuple[Scene, World]:
         """Samples the scene of a seed; where something is driven, with everything at rest."""
-
-    @abstractmethod
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether an episode that ends so, ``[N, D]`` m and ``[N, N]`` bool, is a success."""
 
     @abstractmethod
     def cost_terms(self) -> ChainCost:
@@ -119,12 +122,15 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         """The observation of the present state."""
         assert self._episode is not None
         scene, world = self._episode
-        return {
+        observation = {
             "position": world.position,
             "velocity": world.velocity,
             "contact": world.contact.astype(np.int8),
             "goal": np.array(scene.goal),
         }
+        if self.observes_holding:
+            observation["holding"] = cast(Any, world).holding.astype(np.int8)
+        return observation
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances by ``scene.dt`` under the force ``action`` ``[D]`` N, clipped to its bounds."""
@@ -182,6 +188,11 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
             return False
         scene, world = self._episode
         return self.solved(scene, world.position, world.contact)
+
+    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
+        """Whether an episode that ends so, ``[N, D]`` m and ``[N, N]`` bool, is a success."""
+        last = position[self.cost_terms().chain[-1]]
+        return float(np.linalg.norm(last - scene.goal)) <= self.goal_radius
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

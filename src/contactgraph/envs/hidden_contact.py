@@ -17,18 +17,12 @@ from contactgraph.envs.grip import (
     SwitchedHold,
 )
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
-from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata, at_goal
+from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import HoldRule, PlanarWorld
 
-PUT_DOWN_RADIUS = 0.02
-"""The target must lie within this distance of the goal, m."""
 HOLD_SHARE = 0.25
 """Probability that a body of `StickyTask` holds."""
-_SUCTION_STEPS = 240
-"""Steps of an episode that ends with putting down."""
-_STICKY_STEPS = 300
-"""Steps of an episode in which bodies must be tried first."""
 _SWITCH_WEIGHT = 1e-4
 """Cost of a step with the switch on, as much as of a target 1.4 mm from the goal: a target that
 rests there, at less than 2 mm/s, is let go."""
@@ -60,6 +54,8 @@ class SuctionTask(CarryTask):
     """
 
     name = "suction"
+    steps = 240
+    goal_radius = 0.02
 
     def __init__(
         self,
@@ -68,9 +64,11 @@ class SuctionTask(CarryTask):
         hidden_switch: bool = False,
         engine: str | None = None,
     ) -> None:
-        super().__init__(distractors, fixed_seed, 1, _SUCTION_STEPS, engine)
+        super().__init__(distractors, fixed_seed, engine=engine)
         self._hidden_switch = hidden_switch
-        if not hidden_switch:
+        if hidden_switch:
+            self.goal_radius = CarryTask.goal_radius
+        else:
             high = np.array([MAX_FORCE, MAX_FORCE, 1.0])
             self.action_space = gymnasium.spaces.Box(np.append(-high[:2], 0.0), high, dtype=float)
 
@@ -105,12 +103,6 @@ class SuctionTask(CarryTask):
             switching_cost=_SWITCHING_COST,
             placed_radius=_PLACED_RADIUS,
         )
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the target is within 2 cm of the goal; with a hidden switch, within 0.1 m."""
-        if self._hidden_switch:
-            return super().solved(scene, position, contact)
-        return bool(np.linalg.norm(position[TARGET] - scene.goal) <= PUT_DOWN_RADIUS)
 
     def success(self) -> bool:
         """Whether the episode is over and has ended as the task demands."""
@@ -163,6 +155,7 @@ class StickyTask(CarryTask):
     """
 
     name = "sticky"
+    steps = 300
 
     def __init__(
         self,
@@ -173,8 +166,9 @@ class StickyTask(CarryTask):
     ) -> None:
         if not 2 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
-        super().__init__(distractors, fixed_seed, objects, _STICKY_STEPS, engine)
-        self._holders = frozenset({TARGET})
+        super().__init__(distractors, fixed_seed, objects, engine)
+        self._carriable = frozenset({TARGET})
+        """Bodies of which any may end at the goal."""
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """Holds of drawn bodies; their nodes, as text, are metadata."""
@@ -183,67 +177,53 @@ class StickyTask(CarryTask):
         while drawn.all() or not drawn.any():
             drawn = rng.random(self.targets) < HOLD_SHARE
         drawn = np.concatenate([drawn, rng.random(self.distractors) < HOLD_SHARE])
-        self._holders = frozenset(int(node) for node in 1 + np.flatnonzero(drawn))
-        return BreakingHold(nodes=self._holders), {
-            "holders": " ".join(map(str, sorted(self._holders)))
-        }
+        self._carriable = frozenset((1 + np.flatnonzero(drawn)).tolist())
+        holders = " ".join(map(str, sorted(self._carriable)))
+        return BreakingHold(nodes=self._carriable), {"holders": holders}
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether a body that holds is within 0.1 m of the goal."""
-        return any(at_goal(position[node], scene) for node in self._holders)
+        """Whether a body that can be carried is within 0.1 m of the goal."""
+        away = np.linalg.norm(position[list(self._carriable)] - scene.goal, axis=-1)
+        return bool(away.min() <= self.goal_radius)
 
     def cost_terms(self) -> ChainCost:
-        """The weights of pickup, along any of the targets: which one holds must be found out."""
+        """The weights of pickup, along any of the targets: the right one must be found out."""
         return replace(super().cost_terms(), candidates=tuple(range(1, 1 + self.targets)))
 
 
-class LookAlikesTask(CarryTask):
+class LookAlikesTask(StickyTask):
     """Two look-alike bodies, one of them welded to the table; a `contactgraph.envs.Task`.
 
     Which one is drawn for each episode, and nothing observed tells it but that it does not move.
     The gripper holds what it touches until more than 7.5 N pull the pair apart, which its control
     can do only where a body is welded; it can hold it again once it has parted. The control ``[2]``
-    N is a force on the gripper. The other body must end within 0.1 m of the goal, and held. Raises
-    `InvalidInputError` where ``distractors``, which are not welded, is not in 0 to 20.
+    N is a force on the gripper. The other body must end within 0.1 m of the goal, in contact with
+    the gripper. Raises `InvalidInputError` where ``distractors``, which are not welded, is not in 0
+    to 20.
     """
 
     name = "look-alikes"
+    steps = 200
     any_order = True
 
     def __init__(
         self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
     ) -> None:
-        super().__init__(distractors, fixed_seed, 2, engine=engine)
-        self._free = TARGET
+        super().__init__(2, distractors, fixed_seed, engine)
+
+    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
+        """Holds of all bodies, that a pull ends; the free one of the two is metadata."""
+        free = int(np.random.default_rng(seed).integers(1, 3))
+        self._carriable = frozenset({free})
+        return BreakingHold(tension=_WELD_TENSION), {"free": free}
 
     def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
         """That of a node, static where it is welded."""
-        # A stream of its own: the draws of the layout depend on the number of distractors.
-        self._free = int(np.random.default_rng([seed, 2]).integers(1, 3))
-        welded = node in (1, 2) and node != self._free
-        return replace(super().body(place, node, seed), static=welded)
-
-    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
-        """Holds of all bodies, that a pull ends."""
-        return BreakingHold(tension=_WELD_TENSION), {}
-
-    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
-        """Samples the scene of a seed, with everything at rest; its metadata name the free body."""
-        scene, world = super().begin(seed)
-        mass = np.array(scene.mass)
-        mass[3 - self._free] = WELDED_MASS
-        return replace(scene, mass=mass, metadata={**scene.metadata, "free": self._free}), world
+        body = super().body(place, node, seed)
+        welded = node in {1, 2} - self._carriable
+        return replace(body, static=True, mass=WELDED_MASS) if welded else body
 
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the free body is within 0.1 m of the goal."""
-        return at_goal(position[self._free], scene)
-
-    def success(self) -> bool:
-        """Whether the episode is over, and the gripper holds the free body at the goal."""
-        return super().success() and bool(
-            cast(PlanarWorld, self.world).holding[GRIPPER, self._free]
-        )
-
-    def cost_terms(self) -> ChainCost:
-        """The weights of pickup, along either body."""
-        return replace(super().cost_terms(), candidates=(1, 2))
+        """Whether the free body is within 0.1 m of the goal, and in contact with the gripper."""
+        touched = contact[GRIPPER, list(self._carriable)].all()
+        return bool(touched) and super().solved(scene, position, contact)

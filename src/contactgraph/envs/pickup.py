@@ -1,13 +1,11 @@
 """Tasks in which a gripper carries discs: their base, and the paper's two pickups."""
 
 from abc import abstractmethod
-from typing import ClassVar, cast
 
-import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, joined
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
@@ -17,23 +15,15 @@ from contactgraph.envs.gripper_task import (
     fixed_layout,
     fixed_metadata,
 )
-from contactgraph.envs.pickup_layout import (
-    IN_THE_WAY,
-    RADIUS,
-    extent,
-    sample_layout,
-)
+from contactgraph.envs.pickup_layout import IN_THE_WAY, RADIUS, extent, sample_layout
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import HoldRule, PlanarWorld
 
 TARGET = 1
-MAX_STEPS = 200
 MAX_DISTRACTORS = 20
 MAX_OBJECTS = 5
 MAX_RADIUS = 0.06
 """Largest radius of a body, m: larger bodies would overlap in dense scenes."""
-GOAL_RADIUS = 0.1
-"""The target must end within this distance of the goal, m."""
 PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
 GOAL_WEIGHTS = np.array([50.0, 50.0, 1.0, 1.0])
 CONTROL_WEIGHT = 0.01
@@ -46,19 +36,21 @@ class CarryTask(GripperTask):
 
     Nodes are the gripper (0), ``targets`` targets (1, 2, ...) and ``distractors`` further bodies of
     their node type. The control ``[2]`` N is a force on the gripper. An episode always runs for
-    ``max_steps`` steps of 0.05 s. With ``holding`` an observation has the key of that name beside
-    ``contact``, which is touching or holding. ``fixed_seed`` is the seed of a scene whose targets
+    ``steps`` steps of 0.05 s. ``fixed_seed`` is the seed of a scene whose targets
     and goal every episode shares, so that only the start of gripper and distractors varies; None:
     each episode has its own. ``radius`` m is every body's; ``in_the_way``: a straight way touches
     two distractors or more. ``engine``: see `PlanarWorld`.
 
-    A subclass defines the rule and the success of an episode. Raises `InvalidInputError` for
+    A subclass defines the rule. Raises `InvalidInputError` for
     numbers out of range.
     """
 
     name: str
     """Of the task, for the scene's metadata."""
-    any_order: ClassVar = False
+    observes_holding = True
+    steps = 200
+    """Of an episode."""
+    any_order = False
     """Whether any target may be carried first: see `sample_layout`."""
 
     def __init__(
@@ -66,9 +58,7 @@ class CarryTask(GripperTask):
         distractors: int = 0,
         fixed_seed: int | None = None,
         targets: int = 1,
-        max_steps: int = MAX_STEPS,
         engine: str | None = None,
-        holding: bool = True,
         radius: float = RADIUS,
         in_the_way: bool = False,
     ) -> None:
@@ -82,18 +72,14 @@ class CarryTask(GripperTask):
             )
         if not 0.0 < radius <= MAX_RADIUS:
             raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
-        count = 1 + targets + distractors
-        super().__init__(count, max_steps, extent(targets))
+        super().__init__(1 + targets + distractors, self.steps, extent(targets))
         self.targets, self.distractors = targets, distractors
-        self._fixed_seed, self._engine, self._holding = fixed_seed, engine, holding
+        self._fixed_seed, self._engine = fixed_seed, engine
         self._radius, self._in_the_way = radius, in_the_way
         self._fixed = fixed_layout(
             fixed_seed,
             lambda rng: sample_layout(rng, targets, MAX_DISTRACTORS, any_order=self.any_order),
         )
-        if holding:
-            assert isinstance(self.observation_space, gymnasium.spaces.Dict)
-            self.observation_space.spaces["holding"] = gymnasium.spaces.MultiBinary((count, count))
 
     @abstractmethod
     def hold_rule(self, seed: int) -> tuple[HoldRule | None, Metadata]:
@@ -135,17 +121,6 @@ class CarryTask(GripperTask):
         )
         return scene, world
 
-    def observed(self) -> Observation:
-        """The observation of the present state, with what is held where the task tells it."""
-        if not self._holding:
-            return super().observed()
-        holding = cast(PlanarWorld, self.world).holding
-        return {**super().observed(), "holding": holding.astype(np.int8)}
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the target is within 0.1 m of the goal."""
-        return at_goal(position[TARGET], scene)
-
     def cost_terms(self) -> ChainCost:
         """The paper's weights: gripper to target, target to goal."""
         return ChainCost((GRIPPER, TARGET), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
@@ -162,6 +137,7 @@ class PickupTask(CarryTask):
     """
 
     name = "pickup"
+    observes_holding = False
 
     def __init__(
         self,
@@ -172,12 +148,7 @@ class PickupTask(CarryTask):
         engine: str | None = None,
     ) -> None:
         super().__init__(
-            distractors,
-            fixed_seed,
-            engine=engine,
-            holding=False,
-            radius=radius,
-            in_the_way=in_the_way,
+            distractors, fixed_seed, engine=engine, radius=radius, in_the_way=in_the_way
         )
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
@@ -197,6 +168,7 @@ class MultiPickupTask(CarryTask):
     """
 
     name = "multi-pickup"
+    observes_holding = False
 
     def __init__(
         self,
@@ -207,7 +179,7 @@ class MultiPickupTask(CarryTask):
     ) -> None:
         if not 1 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
-        super().__init__(distractors, fixed_seed, objects, engine=engine, holding=False)
+        super().__init__(distractors, fixed_seed, objects, engine=engine)
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """All that touch stick together."""
@@ -216,17 +188,12 @@ class MultiPickupTask(CarryTask):
     def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
         """Whether every target is joined to the gripper and the last within 0.1 m of the goal."""
         every = set(range(1, self.targets + 1))
-        return every <= held(contact) and at_goal(position[self.targets], scene)
+        return every <= held(contact) and super().solved(scene, position, contact)
 
     def cost_terms(self) -> ChainCost:
         """The paper's weights: gripper to first target, first to second, ..., last to goal."""
         chain = tuple(range(GRIPPER, self.targets + 1))
         return ChainCost(chain, PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
-
-
-def at_goal(position: np.ndarray, scene: Scene) -> bool:
-    """Whether ``position`` ``[2]`` m is within 0.1 m of the goal."""
-    return float(np.linalg.norm(position - scene.goal)) <= GOAL_RADIUS
 
 
 def held(contact: np.ndarray) -> set[int]:

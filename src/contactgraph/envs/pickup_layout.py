@@ -89,7 +89,7 @@ def sample_layout(
         stops = _uniform(rng, targets + 2, HALF_WIDTH)
         if fixed is not None:
             stops[1:] = fixed.stops[1:]
-        if not _passable(stops) or (any_order and not _passable_for_each(stops)):
+        if not _passable(stops, any_order):
             continue
         others = _place_distractors(rng, stops, distractors, in_the_way)
         if others is not None:
@@ -104,14 +104,21 @@ def distance_to_paths(point: np.ndarray, stops: np.ndarray) -> float:
     return min(distance_to_path(point, start, end, OVERSHOOT) for start, end in _paths(stops))
 
 
-def _passable(stops: np.ndarray) -> bool:
-    """Whether stops are far enough apart, and later targets are clear of earlier paths."""
+def _passable(stops: np.ndarray, any_order: bool) -> bool:
+    """Whether stops are far enough apart, and later targets are clear of earlier paths.
+
+    With ``any_order`` each target is also clear of the paths to and from every other one.
+    """
     if min(_distance(start, end) for start, end in _paths(stops)) < REACH:
         return False
+    goal = len(stops) - 1
+    cleared = [(due, index, index + 1) for index in range(goal) for due in range(index + 2, goal)]
+    if any_order:
+        for one, other in itertools.permutations(range(1, goal), 2):
+            cleared += [(other, 0, one), (other, one, goal)]
     return all(
-        distance_to_path(stops[due], *path, OVERSHOOT) >= TARGET_CORRIDOR
-        for index, path in enumerate(_paths(stops))
-        for due in range(index + 2, len(stops) - 1)
+        distance_to_path(stops[due], stops[start], stops[end], OVERSHOOT) >= TARGET_CORRIDOR
+        for due, start, end in cleared
     )
 
 
@@ -146,16 +153,6 @@ def _crossed(distractors: np.ndarray, stops: np.ndarray) -> int:
 def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:
     inside = half_width - RADIUS
     return rng.uniform(-inside, inside, (count, 2))
-
-
-def _passable_for_each(stops: np.ndarray) -> bool:
-    """Whether each target can be reached, and taken to the goal, without the others."""
-    gripper, targets, goal = stops[0], stops[1:-1], stops[-1]
-    return all(
-        distance_to_path(other, *path, OVERSHOOT) >= TARGET_CORRIDOR
-        for one, other in itertools.permutations(targets, 2)
-        for path in ((gripper, one), (one, goal))
-    )
 
 
 def _paths(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

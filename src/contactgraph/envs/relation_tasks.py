@@ -1,13 +1,10 @@
 """A task of relations without contact: springs that nothing shows."""
 
-from typing import Any
-
-import gymnasium
 import numpy as np
 from scipy.linalg import expm
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import GripperTask
 
 MAX_BODIES = 20
@@ -22,7 +19,6 @@ SPRING_SPREAD = 0.5
 SPRING_SPEED = 0.5
 """Of every body at the start, m/s."""
 SPRING_DT, SPRING_STEPS = 0.1, 49
-_GOAL_RADIUS = 0.1
 
 
 class SpringWorld:
@@ -59,8 +55,7 @@ class SpringsTask(GripperTask):
     def __init__(self, objects: int = 5) -> None:
         if not 2 <= objects <= MAX_BODIES:
             raise InvalidInputError(f"objects must be 2 to {MAX_BODIES}, found {objects}")
-        super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT)
-        self.action_space = gymnasium.spaces.Box(0.0, 0.0, (0,), np.float64)
+        super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT, passive=True)
         self._bodies = objects
 
     def begin(self, seed: int) -> tuple[Scene, SpringWorld]:
@@ -87,17 +82,7 @@ class SpringsTask(GripperTask):
         )
         return scene, SpringWorld(position, velocity, joined | joined.T, SPRING_DT)
 
-    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advances by a time step; ``action`` is empty."""
-        world = self.running()
-        world.step(np.zeros_like(world.position))
-        return self.stepped({})
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the first body is within 0.1 m of the middle: there is nothing to achieve."""
-        return float(np.linalg.norm(position[0] - scene.goal)) <= _GOAL_RADIUS
-
     def cost_terms(self) -> ChainCost:
-        """The first body to the middle."""
+        """The first body to the middle: there is nothing to achieve."""
         weights = np.array([50.0, 50.0, 1.0, 1.0])
         return ChainCost((0,), pick_weights=weights, goal_weights=weights, control_weight=0.01)

@@ -22,8 +22,6 @@ GROUND_FRICTION = 0.1
 """Coulomb's coefficient between a block and the table: a deceleration of 0.98 m/s^2."""
 CONTROL_WEIGHT = 3e-4
 """1/N^2: the way round a block, by forces of some newtons, must cost less than the last 2 cm."""
-GOAL_RADIUS = 0.02
-"""The target must end within this distance of the goal, m."""
 
 
 class UnknownMassTask(CarryTask):
@@ -42,18 +40,20 @@ class UnknownMassTask(CarryTask):
     """
 
     name = "unknown-mass"
+    goal_radius = 0.02
+    observes_holding = False
 
     def __init__(
         self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
     ) -> None:
-        super().__init__(distractors, fixed_seed, engine=engine, holding=False)
+        super().__init__(distractors, fixed_seed, engine=engine)
 
     def hold_rule(self, seed: int) -> tuple[None, Metadata]:
         """Nothing is held."""
         return None, {
             "friction": FRICTION,
             "ground_friction": GROUND_FRICTION,
-            "goal_radius": GOAL_RADIUS,
+            "goal_radius": self.goal_radius,
         }
 
     def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
@@ -76,10 +76,6 @@ class UnknownMassTask(CarryTask):
             control_kind=("force", "force"),
         )
         return scene, world
-
-    def solved(self, scene: Scene, position: np.ndarray, contact: np.ndarray) -> bool:
-        """Whether the target is within 2 cm of the goal."""
-        return bool(np.linalg.norm(position[TARGET] - scene.goal) <= GOAL_RADIUS)
 
     def cost_terms(self) -> ChainCost:
         """The target to the goal; hardly the pusher to the target."""
