@@ -12,9 +12,7 @@ WEIGHTS = np.ones(4)
 
 
 def trials():
-    task = StickyTask()
-    task.reset(seed=0)
-    return CandidateTrials(TaskCost.of(task.cost_terms(), 2, task.cost_terms).in_scene(task.scene))
+    return CandidateTrials(0, StickyTask().cost_terms().candidates)
 
 
 def choose(of, steps=1, *, contact=(), holding=(), moving=(), goal=9.0):
@@ -71,7 +69,7 @@ def test_no_candidate_is_avoided():
     task = StickyTask(distractors=1)
     task.reset(seed=0)
     own = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
-    avoid, clear = AvoidingCost(own).in_scene(task.scene).contacts
+    avoid, clear = AvoidingCost(own, candidates=(1, 2, 3)).in_scene(task.scene).contacts
     for pairs in (avoid.pairs, clear.pairs):
         assert np.array(pairs).tolist() == [[0, 4], [1, 4], [2, 4], [3, 4]]
 

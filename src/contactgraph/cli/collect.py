@@ -20,7 +20,6 @@ from contactgraph.cli.options import (
     Grasp,
     HiddenSwitch,
     Objects,
-    Passive,
     TaskArgument,
 )
 from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
@@ -43,7 +42,9 @@ class Collect:
     distractors: Distractors = 0
     objects: Objects = None
     grasp: Grasp = None
-    passive: Passive = False
+    passive: bool = False
+    """Nothing is driven: billiards without the cue, whose discs start with velocities; toss,
+    dominoes and stack are always so."""
     hidden_switch: HiddenSwitch = False
     engine: Engine = None
     mixed: bool = False

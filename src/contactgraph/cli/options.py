@@ -91,13 +91,6 @@ Grasp = Annotated[
         help_behavior_hint="(franka: friction)",
     ),
 ]
-Passive = Annotated[
-    bool,
-    arg(
-        help="Nothing is driven: billiards without the cue, whose discs start with velocities; "
-        "toss, dominoes and stack are always so."
-    ),
-]
 FalseAlarms = Annotated[
     float,
     arg(

@@ -187,11 +187,6 @@ class LearnedCost(eqx.Module):
         """[M] Indices of the kept nodes in the scene."""
         return tuple(int(node) for node in self.nodes)
 
-    @property
-    def candidates(self) -> tuple[int, ...]:
-        """None: it is about the nodes of its demonstrations."""
-        return ()
-
     def among(self, nodes: Sequence[int]) -> "LearnedCost":
         """The same cost about other nodes [M] in place of the kept ones, in this order."""
         return replace(self, nodes=jnp.asarray(nodes, jnp.int32))

@@ -19,6 +19,7 @@ OBJECT_TYPES = ("ball", "puck")
 """The types of target, first further object, second, ... in turn."""
 PILLARS = 2
 RESTITUTION = 0.9
+"""Of every touch."""
 FRICTION = 0.1
 """Coulomb's coefficient between two discs."""
 GROUND_FRICTION = 0.05
@@ -123,9 +124,9 @@ class BilliardsTask(GripperTask):
     *end*. ``passive``: without the cue, so that node 0 is the target; the control is empty, objects
     start at 0.3 to 1.5 m/s in all directions, and an episode runs for 80 steps.
 
-    ``objects`` counts the target; ``restitution`` is that of every touch. ``fixed_seed`` is the
-    seed of a scene whose target and goal every episode shares. ``engine``: see `PlanarWorld`.
-    Raises `InvalidInputError` where ``objects`` is not in 1 to 8, or ``restitution`` not in 0 to 1.
+    ``objects`` counts the target. ``fixed_seed`` is the seed of a scene whose target and goal every
+    episode shares. ``engine``: see `PlanarWorld`. Raises `InvalidInputError` where ``objects`` is
+    not in 1 to 8.
     """
 
     name = "billiards"
@@ -135,13 +136,10 @@ class BilliardsTask(GripperTask):
         objects: int = 3,
         passive: bool = False,
         fixed_seed: int | None = None,
-        restitution: float = RESTITUTION,
         engine: str | None = None,
     ) -> None:
         if not 1 <= objects <= MAX_OBJECTS:
             raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
-        if not 0.0 <= restitution <= 1.0:
-            raise InvalidInputError(f"restitution must be 0 to 1, found {restitution}")
         driven = not passive
         steps = MAX_STEPS if driven else PASSIVE_STEPS
         count = driven + objects + PILLARS
@@ -154,7 +152,6 @@ class BilliardsTask(GripperTask):
         self._objects = objects
         self._passive = passive
         self._engine = engine
-        self._restitution = restitution
         self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
@@ -178,7 +175,7 @@ class BilliardsTask(GripperTask):
                 radius=radius[index],
                 velocity=velocity[index],
                 static=bool(static[index]),
-                restitution=self._restitution,
+                restitution=RESTITUTION,
                 friction=FRICTION,
                 ground_friction=0.0 if static[index] else GROUND_FRICTION,
             )
@@ -207,7 +204,7 @@ class BilliardsTask(GripperTask):
                 "seed": seed,
                 "objects": self._objects,
                 "passive": self._passive,
-                "restitution": self._restitution,
+                "restitution": RESTITUTION,
                 "friction": FRICTION,
                 "ground_friction": GROUND_FRICTION,
                 **world.metadata,

@@ -42,10 +42,6 @@ class HandlingPolicy:
     """
 
     def __init__(self, press: float = 0.7, switching: float = 0.7, noise: float = 0.1) -> None:
-        if not (0.0 <= press <= 1.0 and switching >= 0.0):
-            raise InvalidInputError(
-                f"press must be 0 to 1 and switching at least 0, found {press} and {switching}"
-            )
         self._press, self._switching = press, switching
         self._noise = CorrelatedNoise(noise, correlation_steps=2.0)
         self._rng = np.random.default_rng(0)

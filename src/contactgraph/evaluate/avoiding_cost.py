@@ -28,17 +28,14 @@ class AvoidingCost:
     weight: float = WEIGHT
     """1/m^2"""
     touch_weight: float = TOUCH_WEIGHT
+    candidates: tuple[int, ...] = ()
+    """Bodies that may be touched, beside those of the cost."""
     contacts: tuple[ContactCost, ...] = ()
 
     @property
     def order(self) -> tuple[int, ...]:
         """The nodes of the other cost."""
         return self.cost.order
-
-    @property
-    def candidates(self) -> tuple[int, ...]:
-        """Those of the other cost."""
-        return self.cost.candidates
 
     def in_scene(self, scene: Scene) -> "AvoidingCost":
         """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
@@ -49,7 +46,7 @@ class AvoidingCost:
                 "clearance of 0 they are not touched as far as the model believes"
             )
         cost = self.cost.in_scene(scene)
-        handled = tuple(dict.fromkeys((*cost.order, *cost.candidates)))
+        handled = tuple(dict.fromkeys((*cost.order, *self.candidates)))
         others = [node for node in range(scene.node_count) if node not in handled]
         pairs = np.array([(one, other) for one in handled for other in others], int)
         pairs = pairs.reshape(-1, 2)

@@ -68,16 +68,6 @@ class ClosedLoopMetrics:
         return {**numbers, **lists, **self.planned.to_json(), **self.estimated.to_json()}
 
 
-@dataclass(frozen=True)
-class Approach:
-    """The gripper's approach to its first contact in one episode."""
-
-    contact_speed: float
-    """In the last state before contact, m/s."""
-    slowest: float | None
-    """Lowest speed after start-up and before contact, m/s. None: contact during start-up."""
-
-
 def closed_loop_metrics(
     trajectories: Sequence[Trajectory],
     succeeded: Sequence[bool],
@@ -115,7 +105,7 @@ def closed_loop_metrics(
     numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
     distances = [found for each in episodes if (found := goal_distance(*each)) is not None]
     approaches = [one for each in episodes if (one := approach(*each)) is not None]
-    slowest = [each.slowest for each in approaches if each.slowest is not None]
+    slowest = [each for _, each in approaches if each is not None]
     touched = [_touched_distractor(*each) for each in episodes]
     touches = [found for each in episodes if (found := _touches(*each)) is not None]
     known = (each.scene.metadata.get("best_score") for each in trajectories)
@@ -133,7 +123,7 @@ def closed_loop_metrics(
         within_1cm_rate=float(np.mean(np.less(distances, 0.01))) if distances else None,
         within_2cm_rate=float(np.mean(np.less(distances, 0.02))) if distances else None,
         best_score_mean=float(np.mean(scores)) if scores else None,
-        contact_speed_m_s=_median([each.contact_speed for each in approaches]),
+        contact_speed_m_s=_median([each for each, _ in approaches]),
         slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),
         touches_mean=float(np.mean(touches)) if touches else None,
@@ -152,8 +142,9 @@ def _touches(trajectory: Trajectory, chain: Sequence[int]) -> int | None:
     return int(contact[0]) + int(np.sum(contact[1:] & ~contact[:-1]))
 
 
-def approach(trajectory: Trajectory, chain: Sequence[int]) -> Approach | None:
-    """The chain's first node's approach to its second.
+def approach(trajectory: Trajectory, chain: Sequence[int]) -> tuple[float, float | None] | None:
+    """m/s of the chain's first node in the last state before it touches the second, and its lowest
+    speed after start-up and before that; None for the latter: it touches during start-up.
 
     None where it never does, touches it from the start, contacts were not recorded, or the chain
     has one node.
@@ -167,7 +158,7 @@ def approach(trajectory: Trajectory, chain: Sequence[int]) -> Approach | None:
     speed = np.linalg.norm(trajectory.velocity[:first, chain[0]], axis=-1)
     start_up = round(_START_UP_S / trajectory.scene.dt)
     slowest = float(speed[start_up:].min(initial=math.inf))
-    return Approach(float(speed[-1]), slowest if first > start_up else None)
+    return float(speed[-1]), slowest if first > start_up else None
 
 
 def goal_distance(trajectory: Trajectory, chain: Sequence[int]) -> float | None:

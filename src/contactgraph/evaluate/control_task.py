@@ -173,16 +173,16 @@ def mpc_policy(
     )
     turns = turn_length_of(model) is not None
     own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
-    scene_cost = own_cost if cost is None else cost
+    scene_cost, candidates = (own_cost, terms.candidates) if cost is None else (cost, ())
     if clearance is not None:
-        scene_cost = AvoidingCost(scene_cost, clearance)
+        scene_cost = AvoidingCost(scene_cost, clearance, candidates=candidates)
     size = scene_cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
     if size != control_size:  # before compilation
         raise InvalidInputError(
             f"the cost is for control size U {size}, but the task has {control_size}; they must "
             "agree"
         )
-    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise)
+    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, candidates)
 
 
 def control_by_policy(
@@ -212,11 +212,8 @@ def _run(
     for seed in seeds:
         trajectories.append(run_episode(task, policy, seed))
         succeeded.append(task.success())
-        terms, scene = task.cost_terms(), task.scene
-        ends = terms.chain
-        if scene.goal is not None:
-            ends = terms.ending_nearest(trajectories[-1].position[-1], scene.goal)
-        chains.append(ends)
+        end, goal = trajectories[-1].position[-1], np.asarray(task.scene.goal)
+        chains.append(task.cost_terms().ending_nearest(end, goal))
         after(trajectories[-1])
     return trajectories, succeeded, chains
 

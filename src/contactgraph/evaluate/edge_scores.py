@@ -108,20 +108,17 @@ class EstimatedContacts(Sums):
     def to_json(self) -> dict[str, float | int | None]:
         """All numbers by name; None for those that are not known, or infinite because the contact
         in question was never estimated."""
-        return {
+        found: dict[str, float | int | None] = {
             "edge_precision_found": self.edges.precision,
             "edge_recall_found": self.edges.recall,
             "edge_f1_found": self.edges.f1,
-            "onsets": len(self.onset_delays),
-            "onset_delay_ms_p50": _percentile_ms(self.onset_delays, 50.0),
-            "onset_delay_ms_p95": _percentile_ms(self.onset_delays, 95.0),
-            "breaks": len(self.break_delays),
-            "break_delay_ms_p50": _percentile_ms(self.break_delays, 50.0),
-            "break_delay_ms_p95": _percentile_ms(self.break_delays, 95.0),
-            "failed_grasps": len(self.failed_grasp_delays),
-            "failed_grasp_delay_ms_p50": _percentile_ms(self.failed_grasp_delays, 50.0),
-            "failed_grasp_delay_ms_p95": _percentile_ms(self.failed_grasp_delays, 95.0),
         }
+        for name in ("onset", "break", "failed_grasp"):
+            delays = getattr(self, f"{name}_delays")
+            found[f"{name}s"] = len(delays)
+            for share in (50, 95):
+                found[f"{name}_delay_ms_p{share}"] = _percentile_ms(delays, share)
+        return found
 
 
 def estimated_contacts(trajectory: Trajectory, belief: np.ndarray) -> EstimatedContacts:

@@ -91,23 +91,19 @@ def _drawn(
     return np.clip(np.where(force, strength * direction, switched), bounds.low, bounds.high)
 
 
-def controls_of(episode: int) -> np.random.Generator:
-    """Draws the controls of the forced windows of an episode, by its index in the dataset."""
-    return np.random.default_rng([0, episode])
-
-
 def forced_windows(
     dataset: Dataset, task_of: Callable[[Trajectory], Task], steps: int, every: int = EVERY
 ) -> tuple[Dataset, tuple[int, ...]]:
     """A trajectory for each forced window, which is its end, and the index of its episode.
 
     The windows have ``steps`` steps, from every ``every``-th state of every episode on: see
-    `branches`. ``task_of`` makes the task of an episode. Raises `InvalidInputError` as `branches`.
+    `branches`; the index of an episode is the seed of its controls. ``task_of`` makes the task of
+    an episode. Raises `InvalidInputError` as `branches`.
     """
     windows = [
         (index, branch.trajectory(steps))
         for index, each in enumerate(dataset)
-        for branch in branches(task_of(each), each, steps, controls_of(index), every)
+        for branch in branches(task_of(each), each, steps, np.random.default_rng([0, index]), every)
     ]
     episode, trajectories = zip(*windows, strict=True)
     return replace(dataset, trajectories=trajectories), episode

@@ -57,6 +57,7 @@ class MPCPolicy:
         faults: SensorFaults = _EXACT,
         measured: bool = True,
         noise: ObservationNoise = _NOISELESS,
+        candidates: tuple[int, ...] = (),
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
@@ -64,13 +65,14 @@ class MPCPolicy:
         hold each other, since an edge of the model joins nodes that move together. ``faults``
         corrupts the contacts that the controller observes; without ``measured`` it observes none.
         ``noise`` is added to the motion that it plans from, not to the motion that feedback within
-        a step uses.
+        a step uses. ``candidates``: see `ChainCost`.
         """
         self._mpc = mpc
         self._cost = cost
         self._scene_cost = cost
         self._chain = self._order = cost.order
-        self._trials = CandidateTrials(cost)
+        self._candidates = candidates
+        self._trials = CandidateTrials(cost.order[0], candidates)
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
@@ -100,7 +102,7 @@ class MPCPolicy:
         """
         self._scene_cost = self._cost.in_scene(scene)
         self._chain = self._order = self._scene_cost.order
-        self._trials = CandidateTrials(self._scene_cost)
+        self._trials = CandidateTrials(self._order[0], self._candidates)
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._steps = scene, None, []
         self._applied = self._origin = None
@@ -221,10 +223,10 @@ class MPCPolicy:
         """The cost where the nodes are as observed; None: it is that of the last step."""
         before, order = self._scene_cost, self._order
         self._scene_cost = before.seeing(observation)
-        if self._scene_cost.candidates:
+        if self._candidates:
             self._order = (*self._chain[:-1], self._candidate(observation))
         else:
-            self._order = self._grasped_first(self._state)
+            self._order = self._grasped_first()
         if self._scene_cost is before and self._order == order:
             return None
         return self._cost_of(self._order)
@@ -232,29 +234,28 @@ class MPCPolicy:
     def _cost_of(self, order: tuple[int, ...]) -> SceneCost:
         """The cost along these nodes; of candidates it also avoids those that were given up."""
         cost = self._scene_cost.among(order)
-        if not cost.candidates or self._scene is None:
+        if not self._candidates or self._scene is None:
             return cost
         return AvoidingCost(cost, contacts=(self._trials.avoided(self._scene.dimension),))
+
+    def _believed(self, belief: ContactBelief, holds: bool) -> np.ndarray:
+        """[N, N] bool: the pairs of the scene's nodes that touch or, with ``holds``, hold."""
+        assert self._scene is not None
+        count = self._scene.node_count
+        first, second = pair_indices(count).T
+        found = np.zeros((count, count), dtype=bool)
+        likely = edge_probabilities(belief, self._state.node_ids, count, holds) > 0.5
+        found[first, second] = found[second, first] = likely
+        return found
 
     def _candidate(self, observation: Observation) -> int:
         """The one that the plan is to be about, by the beliefs about the step just made."""
         assert self._scene is not None
-        count = self._scene.node_count
-        first, second = pair_indices(count).T
+        belief, hand = self._state.last.belief, self._chain[0]
+        touched, held = (self._believed(belief, holds)[hand] for holds in (False, self._holds))
+        return self._trials.choose(observation, touched, held, self._scene.dt)
 
-        def believed(holds: bool) -> np.ndarray:
-            paired = np.zeros((count, count), dtype=bool)
-            paired[first, second] = (
-                edge_probabilities(self._state.last.belief, self._state.node_ids, count, holds)
-                > 0.5
-            )
-            return (paired | paired.T)[self._chain[0]]
-
-        return self._trials.choose(
-            observation, believed(False), believed(self._holds), self._scene.dt
-        )
-
-    def _grasped_first(self, state: MPCState) -> tuple[int, ...]:
+    def _grasped_first(self) -> tuple[int, ...]:
         """The nodes of the cost with the grasped ones before those still to be picked up.
 
         Without it a node that is picked up out of turn stays in the chain between two others that
@@ -263,12 +264,6 @@ class MPCPolicy:
         order = self._chain
         if len(order) < 3:
             return order
-        node_ids = state.node_ids.tolist()
-        believed = state.belief.holding if self._holds else state.belief.contact
-        active = pair_indices(len(node_ids))[np.asarray(believed) > 0.5]
-        contact = np.zeros((len(node_ids), len(node_ids)), dtype=bool)
-        contact[active[:, 0], active[:, 1]] = contact[active[:, 1], active[:, 0]] = True
-        grasped = joined(contact[None])[0, node_ids.index(order[0])] > 0
-        return tuple(
-            sorted(order, key=lambda node: (not grasped[node_ids.index(node)], order.index(node)))
-        )
+        believed = self._believed(self._state.belief, self._holds)
+        grasped = joined(believed[None])[0, order[0]] > 0
+        return tuple(sorted(order, key=lambda node: (not grasped[node], order.index(node))))

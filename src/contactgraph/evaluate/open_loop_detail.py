@@ -27,8 +27,6 @@ class WindowPredictions:
     start, at its end. None: the model predicts no angle."""
     edge_active: np.ndarray
     """[W, H, E] bool: predicted contacts of each step."""
-    touch_on_time: np.ndarray
-    """[touches] bool: whether each recorded touch was predicted for its very step."""
     now: EdgeCounts
     """Beliefs about the step just made against the label of the state reached, over the steps of
     whole trajectories; empty where contacts were not recorded."""

@@ -217,27 +217,25 @@ def errors_by_run(detail: OpenLoopDetail, runs: int) -> list[float | str | None]
 def edge_numbers(detail: OpenLoopDetail) -> dict[str, float | None]:
     """Scores of predicted edges over the steps of all windows, see `EdgeCounts`.
 
-    ``edge_on_time`` is the share of touches predicted, from the state just before, for the very
-    step of the touch, ``switch_time_error_s`` the mean of `switch_time_errors`. ``edge_…_now`` are
-    of the beliefs about the step just made, corrected by what was observed after it, against the
-    label of the state that it reached, in every state but a trajectory's first. ``_unmeasured`` and
+    ``switch_time_error_s`` is the mean of `switch_time_errors`. ``edge_…_now`` are of the beliefs
+    about the step just made, corrected by what was observed after it, against the label of the
+    state that it reached, in every state but a trajectory's first. ``_unmeasured`` and
     ``_inferred`` as in `error_numbers`.
     """
     numbers: dict[str, float | None] = {}
     for beliefs in ("", "_unmeasured", "_inferred"):
         found = getattr(detail, beliefs.removeprefix("_") or "measured")
-        counts = now = on_time = late = None
+        counts = now = late = None
         if detail.contact is not None and found is not None:
             edges, exists, now = found.edge_active, detail.edge_exists, found.now
             counts = edge_counts(edges, detail.contact[:, 1:], exists)
             steps_late = switch_time_errors(edges, detail.contact, exists)
             late = detail.dt * float(steps_late.mean()) if len(steps_late) else None
-            on_time = float(found.touch_on_time.mean()) if len(found.touch_on_time) else None
         for name in ("precision", "recall", "f1", "accuracy", "false_alarm_rate"):
             numbers[f"edge_{name}{beliefs}"] = getattr(counts, name, None)
         for name in ("precision", "recall", "f1", "accuracy"):
             numbers[f"edge_{name}_now{beliefs}"] = getattr(now, name, None)
-        numbers |= {f"edge_on_time{beliefs}": on_time, f"switch_time_error{beliefs}_s": late}
+        numbers[f"switch_time_error{beliefs}_s"] = late
     return numbers
 
 

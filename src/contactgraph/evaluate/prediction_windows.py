@@ -86,7 +86,6 @@ def trajectory_detail(
     if trajectory.contact is not None:
         reported, own = faults.reported(trajectory.contact, scene, index), pair_indices(count)
         contact[:, : len(own)] = trajectory.contact[first:, own[:, 0], own[:, 1]]
-    touches = contact[1:] & ~contact[:-1]
 
     def error(predicted: np.ndarray) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -136,7 +135,6 @@ def trajectory_detail(
             squared_angle=turned,
             turned_over=over,
             edge_active=np.asarray(found.edge_active)[:starts],
-            touch_on_time=coming[touches] > 0.5,
             now=edge_counts(made[None], contact[None, 1:], labelled),
             next_step=calibrated(coming, 1),
             last_step=calibrated(ahead, steps),

@@ -9,11 +9,10 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 
 
-def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson's interval for a share: inside [0, 1] and not empty even for 0 or all successes.
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % interval for a share: inside [0, 1] and not empty even for 0 or all successes.
 
-    Raises `InvalidInputError` where there are no trials, more successes than trials, or the
-    confidence is outside (0, 1).
+    Raises `InvalidInputError` where there are no trials, or more successes than trials.
     """
     from scipy.stats import binomtest  # slow to import
 
@@ -21,10 +20,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tu
         raise InvalidInputError(f"trials must be at least 1, found {trials}")
     if not 0 <= successes <= trials:
         raise InvalidInputError(f"successes must be 0 to {trials}, found {successes}")
-    result = binomtest(int(successes), int(trials))
-    if not 0.0 < confidence < 1.0:
-        raise InvalidInputError(f"confidence must lie between 0 and 1, found {confidence}")
-    interval = result.proportion_ci(confidence, method="wilson")
+    interval = binomtest(int(successes), int(trials)).proportion_ci(method="wilson")
     return float(interval.low), float(interval.high)
 
 

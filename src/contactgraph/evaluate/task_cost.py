@@ -31,10 +31,6 @@ class SceneCost(Cost, Protocol):
     def in_scene(self, scene: Scene) -> "SceneCost":
         """The cost for this scene and its goal; raises `InvalidInputError` if it does not fit."""
 
-    @property
-    def candidates(self) -> tuple[int, ...]:
-        """Nodes of which any may stand in the last place of ``order``; empty: that one alone."""
-
     def among(self, nodes: Sequence[int]) -> "SceneCost":
         """The same with its nodes in another order, or another candidate in the last place."""
 
@@ -79,11 +75,6 @@ class TaskCost:
             raise InvalidInputError("the scene has no goal; a plan needs one")
         terms = self.terms if self.current_terms is None else self.current_terms()
         return replace(self, terms=terms, order=terms.chain, goal=scene.goal)
-
-    @property
-    def candidates(self) -> tuple[int, ...]:
-        """See `ChainCost.candidates`."""
-        return self.terms.candidates
 
     def among(self, nodes: Sequence[int]) -> "TaskCost":
         """The cost along the chain in another order."""
@@ -133,10 +124,11 @@ class CandidateTrials:
     the present one, then the nearest.
     """
 
-    def __init__(self, cost: SceneCost) -> None:
-        self._hand, self._candidates = cost.order[0], cost.candidates
+    def __init__(self, hand: int, candidates: Sequence[int]) -> None:
+        """``hand``: the first node of the cost."""
+        self._hand = hand
         self._present: int | None = None
-        self._in_vain = dict.fromkeys(cost.candidates, 0.0)
+        self._in_vain = dict.fromkeys(candidates, 0.0)
 
     def choose(
         self, observation: Observation, contact: np.ndarray, holding: np.ndarray, dt: float
@@ -149,7 +141,7 @@ class CandidateTrials:
         away = np.linalg.norm(position - position[self._hand], axis=-1)
         missing = np.linalg.norm(position - goal, axis=-1)
         moves = np.linalg.norm(observation["velocity"], axis=-1) > _STILL
-        for node in self._candidates:
+        for node in self._in_vain:
             if holding[node] and moves[node]:
                 self._in_vain[node] = 0.0
             elif contact[node] and not (holding[node] and missing[node] < _THERE):
@@ -159,13 +151,13 @@ class CandidateTrials:
             other = self._present is not None and node != self._present
             return self._rounds(node), not holding[node], other, float(away[node])
 
-        self._present = min(self._candidates, key=rank)
+        self._present = min(self._in_vain, key=rank)
         return self._present
 
     def avoided(self, dimension: int) -> ContactCost:
         """What touching the candidates costs that have been given up; of the same shapes always."""
-        pairs = [(self._hand, node) for node in self._candidates]
-        given_up = [self._rounds(node) > 0 and node != self._present for node in self._candidates]
+        pairs = [(self._hand, node) for node in self._in_vain]
+        given_up = [self._rounds(node) > 0 and node != self._present for node in self._in_vain]
         return avoid(pairs, _GIVEN_UP_WEIGHT * np.array(given_up), dimension)
 
     def _rounds(self, node: int) -> int:

@@ -213,36 +213,32 @@ def pulls(trajectory: Trajectory) -> np.ndarray:
     That is a force of more than 0.5 N on the first actuated body, away from a body that it touches
     or holds. None where holding was not recorded, or the control is no force.
     """
-    scene, none = trajectory.scene, np.zeros(0, dtype=bool)
+    scene, dimension = trajectory.scene, trajectory.scene.dimension
     kinds = scene.control_kind or ("force",) * trajectory.control_size
-    if trajectory.contact is None or trajectory.holding is None or not scene.actuated.any():
-        return none
-    if kinds[: scene.dimension] != ("force",) * scene.dimension:
-        return none
+    contact, holding = trajectory.contact, trajectory.holding
+    if contact is None or holding is None or kinds[:dimension] != ("force",) * dimension:
+        return np.zeros(0, dtype=bool)
     hand = int(scene.actuated.argmax())
     away = trajectory.position[:-1, hand, None] - trajectory.position[:-1]
-    distance = np.maximum(np.linalg.norm(away, axis=-1), 1e-9)
-    force = np.einsum("tnd,td->tn", away, trajectory.control[:, : scene.dimension]) / distance
-    pulled = trajectory.contact[:-1, hand] & (force > _PULL)
+    force = np.einsum("tnd,td->tn", away, trajectory.control[:, :dimension])
+    pulled = contact[:-1, hand] & (force > _PULL * np.linalg.norm(away, axis=-1))
     begins = pulled & ~np.concatenate([np.zeros_like(pulled[:1]), pulled[:-1]])
-    return trajectory.holding[:-1, hand][begins]
+    return holding[:-1, hand][begins]
 
 
 def pull_warning(dataset: Dataset) -> str | None:
     """One line where bodies are pulled almost only while they are held, but not touched so: a model
     would learn from the force that it holds, and could not plan to pull."""
     held = np.concatenate([pulls(each) for each in dataset])
-    touched = np.concatenate([_held_in_contact(each) for each in dataset])
-    if len(held) < _PULLS or held.mean() <= _HELD or touched.mean() > _ALWAYS_HELD:
+    touched = [
+        each.holding[each.contact]
+        for each in dataset
+        if each.contact is not None and each.holding is not None
+    ]
+    few = len(held) < _PULLS or held.mean() <= _HELD
+    if few or np.concatenate(touched).mean() > _ALWAYS_HELD:
         return None
     return (
         f"in {held.sum()} of {len(held)} pulls at a body in contact it is held, so that the force "
         "tells what only motion should; record with --exploration 0.5"
     )
-
-
-def _held_in_contact(trajectory: Trajectory) -> np.ndarray:
-    """Whether the pair holds, bool, of each pair in contact in each state."""
-    if trajectory.contact is None or trajectory.holding is None:
-        return np.zeros(0, dtype=bool)
-    return trajectory.holding[trajectory.contact]
