@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from evaluation_worlds import scene_of
 
-from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data import Trajectory
 from contactgraph.evaluate import closed_loop_metrics, wilson_interval
 from contactgraph.evaluate.closed_loop import approach
 
@@ -127,16 +127,3 @@ def test_unmeasured_values_are_none():
     assert found.touched_bystanders is found.contact_speed_m_s is found.plan_ms_p99 is None
     assert found.slowest_before_contact_m_s is found.slowest_before_contact_min_m_s is None
     assert found.success_rate == 0.0
-
-
-def test_arguments():
-    trajectory = episode([1.0, 1.0])
-    for arguments, message in (
-        (([], [], [], 0), "one entry an episode, at least one, found 0"),
-        (([trajectory], [True, True], [(0, 1)], 0), "found 2 for 1 episodes"),
-        (([trajectory], [True], [(0, 3)], 0), r"chain must name nodes 0 to 2, found \(0, 3\)"),
-    ):
-        with pytest.raises(InvalidInputError, match=message):
-            closed_loop_metrics(*arguments)
-    with pytest.raises(InvalidInputError, match=r"scene_seeds must .* found 2 for 1 episodes"):
-        closed_loop_metrics([trajectory], [True], [(0, 1)], 0, scene_seeds=[1, 2])

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.gripper_task import DT, GripperTask, fixed_layout, fixed_metadata
+from contactgraph.envs.gripper_task import DT, GripperTask, check_count, fixed_layout
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 
@@ -138,12 +138,12 @@ class BilliardsTask(GripperTask):
         fixed_seed: int | None = None,
         engine: str | None = None,
     ) -> None:
-        if not 1 <= objects <= MAX_OBJECTS:
-            raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
+        check_count("objects", objects, 1, MAX_OBJECTS)
         driven = not passive
         steps = MAX_STEPS if driven else PASSIVE_STEPS
         count = driven + objects + PILLARS
-        super().__init__(count, steps, float(TABLE.max()), passive=passive)
+        extent = float(TABLE.max())
+        super().__init__(count, steps, extent, passive=passive, fixed_seed=fixed_seed)
         self._types = (
             *["cue"] * driven,
             *(_type_of(index) for index in range(objects)),
@@ -152,7 +152,6 @@ class BilliardsTask(GripperTask):
         self._objects = objects
         self._passive = passive
         self._engine = engine
-        self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
@@ -201,14 +200,12 @@ class BilliardsTask(GripperTask):
             planes=np.hstack([np.vstack([np.eye(2), -np.eye(2)]), np.tile(-TABLE, 2)[:, None]]),
             metadata={
                 "task": self.name,
-                "seed": seed,
                 "objects": self._objects,
                 "passive": self._passive,
                 "restitution": RESTITUTION,
                 "friction": FRICTION,
                 "ground_friction": GROUND_FRICTION,
                 **world.metadata,
-                **fixed_metadata(self._fixed_seed),
             },
         )
         return scene, world

@@ -3,7 +3,7 @@
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.billiards import CUE, DT, TABLE
+from contactgraph.envs.billiards import CUE, DT, GROUND_FRICTION, RESTITUTION, TABLE
 from contactgraph.envs.contract import Observation
 from contactgraph.envs.experts import CorrelatedNoise
 from contactgraph.envs.planar.body import GRAVITY
@@ -42,28 +42,17 @@ class BilliardsExpert:
         self._target = 1
         self._mass = np.ones(0)
         self._radius = np.ones(0)
-        self._restitution = 0.0
-        self._slowdown = 1.0
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no billiards."""
-        restitution = scene.metadata.get("restitution")
-        friction = scene.metadata.get("ground_friction")
-        if (
-            "target" not in scene.node_name
-            or not scene.actuated[CUE]
-            or scene.mass is None
-            or scene.radius is None
-            or not isinstance(restitution, float)
-            or not isinstance(friction, float)
-        ):
+        there = "target" in scene.node_name and scene.actuated[CUE]
+        if not there or scene.mass is None or scene.radius is None:
             raise InvalidInputError(
-                "a billiards expert needs an actuated node 0, a node named target, masses, radii, "
-                f"and metadata restitution and ground_friction, found nodes {list(scene.node_name)}"
+                "a billiards expert needs an actuated node 0, a node named target, masses and "
+                f"radii, found nodes {list(scene.node_name)}"
             )
         self._target = scene.node_name.index("target")
         self._mass, self._radius = scene.mass, scene.radius
-        self._restitution, self._slowdown = restitution, GRAVITY * friction
         self._noise.reset(scene.dimension, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -105,8 +94,8 @@ class BilliardsExpert:
         running = float(velocity @ ahead) > 0.3
         if along < 0.0 and np.linalg.norm(aside) < STRAIGHT[int(running)]:
             share = self._mass[CUE] / (self._mass[CUE] + self._mass[self._target])
-            after = np.sqrt(2.0 * self._slowdown * length)
-            strike = after / ((1.0 + self._restitution) * share)
+            after = np.sqrt(2.0 * (GRAVITY * GROUND_FRICTION) * length)
+            strike = after / ((1.0 + RESTITUTION) * share)
             return np.asarray(strike * ahead - aside / (2.0 * TIME_CONSTANT))
         way = self._behind(position, shot) - position[CUE]
         wanted = way * min(0.4 / TIME_CONSTANT, CRUISE / max(float(np.linalg.norm(way)), 1e-9))

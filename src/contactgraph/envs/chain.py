@@ -70,7 +70,6 @@ class ChainTask(ShapedTask):
             pin_points=np.array([[[0.0, 0.0], -end], [end, -end]]),
             metadata={
                 "task": self.name,
-                "seed": seed,
                 "damping": LINK_DAMPING,
                 **world.metadata,
             },

@@ -151,8 +151,8 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
             _fail(f"{name} must have the scene's shape {shape}, found {value.shape} at {when}")
         if not np.all(np.isfinite(value)):
             _fail(f"{name} must be finite, found {value.tolist()} at {when}")
-    for name in ("contact", "holding"):
-        _check_pairs(name, observation.get(name), when)
+    for name in {"contact", "holding"} & set(observation):
+        _check_pairs(name, observation[name], when)
     if np.any(observation.get("holding", 0) > observation["contact"]):
         _fail(f"holding must imply contact, violated at {when}")
     if "orientation" in observation and dimension == 3:
@@ -163,9 +163,7 @@ def _check_observation(task: Task, observation: Observation, when: str) -> None:
         _fail(f"an observation must lie in observation_space, violated at {when}")
 
 
-def _check_pairs(name: str, value: np.ndarray | None, when: str) -> None:
-    if value is None:
-        return
+def _check_pairs(name: str, value: np.ndarray, when: str) -> None:
     if value.dtype != np.int8 or not np.all((value == 0) | (value == 1)):
         _fail(f"{name} must be int8, 0 or 1, found {value.dtype} at {when}")
     if not np.array_equal(value, value.T) or value.diagonal().any():

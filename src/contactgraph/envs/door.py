@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
@@ -12,8 +12,8 @@ from contactgraph.envs.gripper_task import (
     GRIPPER,
     MASS,
     GripperTask,
+    check_count,
     fixed_layout,
-    fixed_metadata,
 )
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
@@ -161,13 +161,10 @@ class DoorTask(GripperTask):
     def __init__(
         self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
     ) -> None:
-        if not 0 <= distractors <= MAX_DISTRACTORS:
-            raise InvalidInputError(
-                f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
-            )
-        super().__init__(2 + distractors, MAX_STEPS, DISTRACTOR_HALF_WIDTH + LENGTH)
+        check_count("distractors", distractors, 0, MAX_DISTRACTORS)
+        extent = DISTRACTOR_HALF_WIDTH + LENGTH
+        super().__init__(2 + distractors, MAX_STEPS, extent, fixed_seed=fixed_seed)
         self._distractors = distractors
-        self._fixed_seed = fixed_seed
         self._engine = engine
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
 
@@ -196,12 +193,10 @@ class DoorTask(GripperTask):
             candidate_edges=np.array([[GRIPPER, door] for door in range(DOOR, DOOR + doors)]),
             metadata={
                 "task": "door",
-                "seed": seed,
                 "distractors": self._distractors,
                 **world.metadata,
                 "angle": float(layout.angle[0]),
                 "goal_angle": layout.goal_angle,
-                **fixed_metadata(self._fixed_seed),
             },
         )
         return scene, world

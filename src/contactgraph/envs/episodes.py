@@ -3,7 +3,8 @@
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import gymnasium
@@ -184,9 +185,10 @@ def collect(
         raise InvalidInputError("policies must name at least one policy, found none")
     if not task_factories:
         raise InvalidInputError("task_factories must name at least one task, found none")
-    wanted = _Recording(tuple(task_factories), tuple(policies), episode_seeds(episodes, seed))
+    seeds = episode_seeds(episodes, seed)
+    recorder = partial(_recorder, tuple(task_factories), tuple(policies), seeds)
     trajectories = list(recorded[:episodes])
-    with closing(_made(wanted, range(len(trajectories), episodes), executor)) as made:
+    with closing(_made(recorder, range(len(trajectories), episodes), executor)) as made:
         for trajectory in made:
             trajectories.append(trajectory)
             if on_episode is not None:
@@ -216,35 +218,29 @@ def fixed_seed(seed: int) -> int:
     return int(np.random.SeedSequence(seed).generate_state(1)[0])
 
 
-@dataclass(frozen=True)
-class _Recording:
-    """The episodes to record."""
+def _recorder(
+    task_factories: Sequence[Callable[[], Task]], policies: Sequence[Policy], seeds: Sequence[int]
+) -> Callable[[int], Trajectory]:
+    """Records episode ``i``, independently of those before it."""
+    tasks = [task_factory() for task_factory in task_factories]
 
-    task_factories: tuple[Callable[[], Task], ...]
-    policies: tuple[Policy, ...]
-    seeds: list[int]
+    def record(index: int) -> Trajectory:
+        task, policy = tasks[index % len(tasks)], policies[index % len(policies)]
+        return run_episode(task, policy, seeds[index])
 
-    def recorder(self) -> Callable[[int], Trajectory]:
-        """Records episode ``i``, independently of those before it."""
-        tasks = [task_factory() for task_factory in self.task_factories]
-
-        def record(index: int) -> Trajectory:
-            task, policy = tasks[index % len(tasks)], self.policies[index % len(self.policies)]
-            return run_episode(task, policy, self.seeds[index])
-
-        return record
+    return record
 
 
 def _made(
-    wanted: _Recording, indices: range, executor: Executor | None
+    recorder: Callable[[], Callable[[int], Trajectory]], indices: range, executor: Executor | None
 ) -> Generator[Trajectory, None, None]:
     """The episodes of these indices, in order."""
-    record, began = wanted.recorder(), time.perf_counter()
+    record, began = recorder(), time.perf_counter()
     for done, index in enumerate(indices):
         spent, left = time.perf_counter() - began, len(indices) - done
         if done and executor is not None and spent > _ALONE_S:
             alone = spent / done * left
             if alone * (1.0 - 1.0 / executor.workers) > _START_S:
-                yield from map_in_order(executor, wanted.recorder, indices[done:])
+                yield from map_in_order(executor, recorder, indices[done:])
                 return
         yield record(index)

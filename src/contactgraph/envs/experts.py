@@ -194,14 +194,11 @@ class DoorExpert:
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` has no door."""
-        if scene.node_count <= DOOR or not scene.hinged[DOOR]:
+        hinged = scene.node_count > DOOR and scene.hinged[DOOR]
+        if not hinged or scene.goal is None or scene.mass is None:
             raise InvalidInputError(
-                f"a door expert needs a node {DOOR} with an anchor, found nodes "
+                f"a door expert needs a node {DOOR} with an anchor, a goal and masses, found nodes "
                 f"{list(scene.node_name)} and anchor {scene.anchor.tolist()}"
-            )
-        if scene.goal is None or scene.mass is None:
-            raise InvalidInputError(
-                f"a door expert needs a goal and masses, found {scene.goal} and {scene.mass}"
             )
         self._hinge, self._mass = scene.anchor[DOOR], scene.mass[[GRIPPER, DOOR]]
         self._noise.reset(scene.dimension, seed)

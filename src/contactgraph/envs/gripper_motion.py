@@ -105,11 +105,11 @@ class GripperForces:
         missing = self.wanted - self.body_velocity
         direction = unit(missing) if np.linalg.norm(missing) > least_missing else self.normal
         velocity = approach_velocity(self._from_body, direction, 1.0, touch_speed)
-        return 2.0 * self._reach(self.body_velocity + velocity)
+        return 2.0 * self.move(self.body_velocity + velocity)
 
     def carry(self) -> np.ndarray:
         """[2] N that brings body and gripper to the goal."""
-        return self._reach(self.wanted)
+        return self.move(self.wanted)
 
     def press(self) -> np.ndarray:
         """[2] N along the normal, as far as that helps, and never less than keeps the touch."""
@@ -120,7 +120,7 @@ class GripperForces:
 
     def accompany(self) -> np.ndarray:
         """[2] N that keeps the touch and hardly pushes."""
-        return self._reach(self.body_velocity + 0.02 * self.normal)
+        return self.move(self.body_velocity + 0.02 * self.normal)
 
     def back_off(self) -> np.ndarray:
         """[2] N away from the body."""
@@ -130,13 +130,10 @@ class GripperForces:
         """[2] N away from the body that end its hold."""
         return -MAX_FORCE * self.normal
 
-    def move(self, velocity: np.ndarray) -> np.ndarray:
-        """[2] N that bring the gripper to a velocity ``[2]`` m/s."""
-        return self._reach(velocity)
-
     def stop(self) -> np.ndarray:
         """[2] N that brings the gripper to rest."""
-        return self._reach(np.zeros(2))
+        return self.move(np.zeros(2))
 
-    def _reach(self, velocity: np.ndarray) -> np.ndarray:
+    def move(self, velocity: np.ndarray) -> np.ndarray:
+        """[2] N that bring the gripper to a velocity ``[2]`` m/s."""
         return limited(self._mass * _GAIN * (velocity - self._own), 3.0 * self._mass)

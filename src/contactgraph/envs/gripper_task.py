@@ -46,7 +46,8 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     reward is the negative distance, m, from the last node of the cost's chain, or the nearest
     candidate for it, to the goal. An episode always runs for ``max_steps`` steps. ``extent`` m
     bounds the start positions and the goal on each axis; ``mass`` kg is the gripper's.
-    ``passive``: nothing is driven, and the control is empty.
+    ``passive``: nothing is driven, and the control is empty. ``fixed_seed`` is that of the
+    `fixed_layout` of a subclass.
 
     A subclass defines the start of an episode, its cost, and what more a success demands.
     """
@@ -68,6 +69,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         max_force: float = MAX_FORCE,
         mass: float = MASS,
         passive: bool = False,
+        fixed_seed: int | None = None,
     ) -> None:
         self.max_steps = max_steps
         size = 0 if passive else dimension
@@ -83,11 +85,15 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         self._shape = count, dimension
         self._pushed: np.ndarray = np.zeros(self._shape)
         self._steps = 0
+        self._fixed_seed = {} if fixed_seed is None else {"fixed_seed": fixed_seed}
         self._episode: tuple[Scene, World] | None = None
 
     @abstractmethod
     def begin(self, seed: int) -> tuple[Scene, World]:
-        """Samples the scene of a seed; where something is driven, with everything at rest."""
+        """Samples the scene of a seed; where something is driven, with everything at rest.
+
+        Its metadata gain the seeds that reproduce it.
+        """
 
     @abstractmethod
     def cost_terms(self) -> ChainCost:
@@ -114,7 +120,9 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         super().reset(seed=seed)
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._steps, self._episode = 0, self.begin(scene_seed)
+        scene, world = self.begin(scene_seed)
+        metadata = {**scene.metadata, "seed": scene_seed, **self._fixed_seed}
+        self._steps, self._episode = 0, (replace(scene, metadata=metadata), world)
         self._pushed = np.zeros(self._shape)
         return self.observed(), {}
 
@@ -235,6 +243,7 @@ def fixed_layout(
     return sample(np.random.default_rng(fixed_seed))
 
 
-def fixed_metadata(fixed_seed: int | None) -> dict[str, int]:
-    """The scene metadata that, with the scene's seed, reproduces the scene."""
-    return {} if fixed_seed is None else {"fixed_seed": fixed_seed}
+def check_count(name: str, count: int, least: int, most: int) -> None:
+    """Raises `InvalidInputError` where a task cannot have so many bodies."""
+    if not least <= count <= most:
+        raise InvalidInputError(f"{name} must be {least} to {most}, found {count}")

@@ -6,7 +6,7 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.envs.grip import (
     HOLD_TIME,
@@ -16,7 +16,7 @@ from contactgraph.envs.grip import (
     HiddenSwitchHold,
     SwitchedHold,
 )
-from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
+from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE, check_count
 from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import HoldRule, PlanarWorld
@@ -164,8 +164,7 @@ class StickyTask(CarryTask):
         fixed_seed: int | None = None,
         engine: str | None = None,
     ) -> None:
-        if not 2 <= objects <= MAX_OBJECTS:
-            raise InvalidInputError(f"objects must be 2 to {MAX_OBJECTS}, found {objects}")
+        check_count("objects", objects, 2, MAX_OBJECTS)
         super().__init__(distractors, fixed_seed, objects, engine)
         self._carriable = frozenset({TARGET})
         """Bodies of which any may end at the goal."""

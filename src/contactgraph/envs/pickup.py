@@ -12,8 +12,8 @@ from contactgraph.envs.gripper_task import (
     GRIPPER,
     MASS,
     GripperTask,
+    check_count,
     fixed_layout,
-    fixed_metadata,
 )
 from contactgraph.envs.pickup_layout import IN_THE_WAY, RADIUS, extent, sample_layout
 from contactgraph.envs.planar.body import PlanarBody
@@ -62,20 +62,17 @@ class CarryTask(GripperTask):
         radius: float = RADIUS,
         in_the_way: bool = False,
     ) -> None:
-        if not 0 <= distractors <= MAX_DISTRACTORS:
-            raise InvalidInputError(
-                f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
-            )
+        check_count("distractors", distractors, 0, MAX_DISTRACTORS)
         if in_the_way and distractors < IN_THE_WAY:
             raise InvalidInputError(
                 f"distractors must be {IN_THE_WAY} or more to be in the way, found {distractors}"
             )
         if not 0.0 < radius <= MAX_RADIUS:
             raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
-        super().__init__(1 + targets + distractors, self.steps, extent(targets))
+        count = 1 + targets + distractors
+        super().__init__(count, self.steps, extent(targets), fixed_seed=fixed_seed)
         self.targets, self.distractors = targets, distractors
-        self._fixed_seed, self._engine = fixed_seed, engine
-        self._radius, self._in_the_way = radius, in_the_way
+        self._engine, self._radius, self._in_the_way = engine, radius, in_the_way
         self._fixed = fixed_layout(
             fixed_seed,
             lambda rng: sample_layout(rng, targets, MAX_DISTRACTORS, any_order=self.any_order),
@@ -101,10 +98,8 @@ class CarryTask(GripperTask):
         world = PlanarWorld(bodies, DT, hold=rule, engine=self._engine)
         metadata: Metadata = {
             "task": self.name,
-            "seed": seed,
             "distractors": self.distractors,
             **world.metadata,
-            **fixed_metadata(self._fixed_seed),
             **drawn,
         }
         targets = [f"target-{index}" for index in range(1, self.targets + 1)]
@@ -177,8 +172,7 @@ class MultiPickupTask(CarryTask):
         fixed_seed: int | None = None,
         engine: str | None = None,
     ) -> None:
-        if not 1 <= objects <= MAX_OBJECTS:
-            raise InvalidInputError(f"objects must be 1 to {MAX_OBJECTS}, found {objects}")
+        check_count("objects", objects, 1, MAX_OBJECTS)
         super().__init__(distractors, fixed_seed, objects, engine=engine)
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:

@@ -96,12 +96,12 @@ def sample_layout(
             return PickupLayout(stops, others)
 
 
-def distance_to_paths(point: np.ndarray, stops: np.ndarray) -> float:
+def distance_to_paths(point: np.ndarray, stops: np.ndarray, beyond: float = OVERSHOOT) -> float:
     """Distance of ``point`` ``[2]`` m from the paths between stops ``[S, 2]`` m; m.
 
-    All paths continue straight for `OVERSHOOT` past their ends.
+    All paths continue straight for ``beyond`` m past their ends.
     """
-    return min(distance_to_path(point, start, end, OVERSHOOT) for start, end in _paths(stops))
+    return min(distance_to_path(point, start, end, beyond) for start, end in _paths(stops))
 
 
 def _passable(stops: np.ndarray, any_order: bool) -> bool:
@@ -144,10 +144,7 @@ def _place_distractors(
 
 def _crossed(distractors: np.ndarray, stops: np.ndarray) -> int:
     """Number of distractors that a body touches on its straight way from stop to stop."""
-    distances = [
-        min(distance_to_path(each, *path, 0.0) for path in _paths(stops)) for each in distractors
-    ]
-    return sum(each < 2 * RADIUS for each in distances)
+    return sum(distance_to_paths(each, stops, 0.0) < 2 * RADIUS for each in distractors)
 
 
 def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:

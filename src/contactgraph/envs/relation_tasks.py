@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.linalg import expm
 
-from contactgraph.data import InvalidInputError, Scene
+from contactgraph.data import Scene
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.gripper_task import GripperTask
+from contactgraph.envs.gripper_task import GripperTask, check_count
 
 MAX_BODIES = 20
 SPRING_STIFFNESS = 0.1
@@ -53,8 +53,7 @@ class SpringsTask(GripperTask):
     name = "springs"
 
     def __init__(self, objects: int = 5) -> None:
-        if not 2 <= objects <= MAX_BODIES:
-            raise InvalidInputError(f"objects must be 2 to {MAX_BODIES}, found {objects}")
+        check_count("objects", objects, 2, MAX_BODIES)
         super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT, passive=True)
         self._bodies = objects
 
@@ -75,7 +74,6 @@ class SpringsTask(GripperTask):
             control_kind=(),
             metadata={
                 "task": self.name,
-                "seed": seed,
                 "stiffness": SPRING_STIFFNESS,
                 "spring_share": SPRING_SHARE,
             },

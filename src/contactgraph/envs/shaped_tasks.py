@@ -110,7 +110,6 @@ class VerticalTask(ShapedTask):
             polygon_of=np.arange(count),
             metadata={
                 "task": self.name,
-                "seed": seed,
                 "friction": boxes[0].friction,
                 "simulator": mujoco_world.SIMULATOR,
                 "substeps": world.substeps,

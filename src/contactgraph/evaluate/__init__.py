@@ -16,8 +16,6 @@ from contactgraph.evaluate.control_task import mpc_policy as mpc_policy
 from contactgraph.evaluate.edge_scores import EstimatedContacts as EstimatedContacts
 from contactgraph.evaluate.edge_scores import estimated_contacts as estimated_contacts
 from contactgraph.evaluate.forced import forced_windows as forced_windows
-from contactgraph.evaluate.model_diagnostics import ModelDiagnostics as ModelDiagnostics
-from contactgraph.evaluate.model_diagnostics import RolloutGrowth as RolloutGrowth
 from contactgraph.evaluate.model_diagnostics import model_diagnostics as model_diagnostics
 from contactgraph.evaluate.model_diagnostics import rollout_growth as rollout_growth
 from contactgraph.evaluate.mpc_policy import MPCPolicy as MPCPolicy

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.data import Trajectory
 from contactgraph.evaluate.edge_scores import EstimatedContacts
 from contactgraph.evaluate.plan_tracking import PlanTrackingError
 from contactgraph.evaluate.statistics import wilson_interval
@@ -85,22 +85,7 @@ def closed_loop_metrics(
     measured. ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
     `estimated_contacts`; none: not measured. ``scene_seeds``: one for each episode, equal in equal
     scenes; None: no scene is repeated.
-    Raises `InvalidInputError` where there is no episode, ``succeeded``, ``chains`` or
-    ``scene_seeds`` has another length, or an episode lacks a node of its chain.
     """
-    given: dict[str, Sequence[object]] = {"succeeded": succeeded, "chains": chains}
-    if scene_seeds is not None:
-        given["scene_seeds"] = scene_seeds
-    for name, values in given.items():
-        if not trajectories or len(values) != len(trajectories):
-            raise InvalidInputError(
-                f"{name} must have one entry an episode, at least one, found {len(values)} for "
-                f"{len(trajectories)} episodes"
-            )
-    for each, chain in zip(trajectories, chains, strict=True):
-        count = each.scene.node_count
-        if not chain or not 0 <= min(chain) <= max(chain) < count:
-            raise InvalidInputError(f"chain must name nodes 0 to {count - 1}, found {tuple(chain)}")
     episodes = list(zip(trajectories, chains, strict=True))
     numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
     distances = [found for each in episodes if (found := goal_distance(*each)) is not None]

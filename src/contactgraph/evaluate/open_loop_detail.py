@@ -84,11 +84,6 @@ class OpenLoopDetail:
             return None
         return np.any(self.contact != self.contact[:, :1], axis=(1, 2))
 
-    @property
-    def horizon(self) -> np.ndarray:
-        """[H] s: time from a window's start to the end of each of its steps."""
-        return self.dt * np.arange(1, self.measured.squared_error.shape[1] + 1)
-
     def rmse(self, squared_error: np.ndarray, windows: np.ndarray | None = None) -> float | None:
         """m: root mean square of one of the errors above over nodes, steps and windows.
 

@@ -11,5 +11,4 @@ from contactgraph.interchange.recording import Recording as Recording
 from contactgraph.interchange.scene_map import SceneMap as SceneMap
 from contactgraph.interchange.scene_map import parse_map as parse_map
 from contactgraph.interchange.scene_map import read_map as read_map
-from contactgraph.interchange.scene_map import shipped_map_text as shipped_map_text
 from contactgraph.interchange.scene_map import shipped_maps as shipped_maps

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Feedback, Observation
-from contactgraph.envs.gripper_task import GRIPPER, GripperTask, fixed_layout, fixed_metadata
+from contactgraph.envs.gripper_task import GRIPPER, GripperTask, check_count, fixed_layout
 from contactgraph.envs.mujoco_world import SIMULATOR
 from contactgraph_franka.envs.arm_model import (
     arm_xml,
@@ -78,10 +78,7 @@ class FrankaTask(GripperTask):
         render_mode: str | None = None,
         fixed_seed: int | None = None,
     ) -> None:
-        if not 0 <= distractors <= MAX_DISTRACTORS:
-            raise InvalidInputError(
-                f"distractors must be 0 to {MAX_DISTRACTORS}, found {distractors}"
-            )
+        check_count("distractors", distractors, 0, MAX_DISTRACTORS)
         if render_mode not in (None, "rgb_array"):
             raise InvalidInputError(f"render_mode must be rgb_array or None, found {render_mode!r}")
         super().__init__(
@@ -92,10 +89,10 @@ class FrankaTask(GripperTask):
             dt=DT,
             max_force=MAX_FORCE,
             mass=APPARENT_MASS,
+            fixed_seed=fixed_seed,
         )
         self._distractors = distractors
         self._grasp = grasp
-        self._fixed_seed = fixed_seed
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
         self.render_mode = render_mode
         self._camera: Camera | None = None
@@ -119,13 +116,11 @@ class FrankaTask(GripperTask):
             size=np.array([[np.nan] * 3, *[BLOCK] * (count - 1)]),
             metadata={
                 "task": "franka",
-                "seed": seed,
                 "distractors": self._distractors,
                 "grasp": self._grasp.value,
                 "goal_radius": GOAL_RADIUS,
                 "contact_distance": CONTACT_DISTANCE,
                 "simulator": SIMULATOR,
-                **fixed_metadata(self._fixed_seed),
             },
         )
         return scene, world
