@@ -16,6 +16,7 @@ from contactgraph.envs import (
     RestPolicy,
 )
 from contactgraph.envs import episodes as collecting
+from contactgraph.envs.episodes import Episode
 from contactgraph.evaluate import collect, run_episode
 from contactgraph.parallel import LocalExecutor
 
@@ -81,12 +82,13 @@ def test_the_recorded_control_is_the_clipped_one():
     assert np.array_equal(np.unique(trajectory.control, axis=0), [[10.0, -3.0]])
 
 
-def test_every_step_is_reported():
-    observed = []
-    trajectory = run_episode(PickupTask(), PickupExpert(), 1, lambda *step: observed.append(step))
-    steps, observations, controls = zip(*observed, strict=True)
-    assert steps == tuple(range(200)) and np.array_equal(np.stack(controls), trajectory.control)
-    positions = [observation["position"] for observation in observations]
+def test_an_episode_goes_on_step_by_step():
+    episode, positions, controls = Episode(PickupTask(), PickupExpert(), 1), [], []
+    while not episode.over:
+        positions.append(episode.observation["position"])
+        controls.append(episode.step())
+    trajectory = run_episode(PickupTask(), PickupExpert(), 1)
+    assert episode.steps == 200 and np.array_equal(np.stack(controls), trajectory.control)
     assert np.array_equal(np.stack(positions), trajectory.position[:-1])
 
 

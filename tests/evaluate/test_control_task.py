@@ -51,11 +51,11 @@ def test_the_known_world_is_picked_up_in_one_sweep():
     for (run, record), same in zip(records, runs, strict=True):
         assert run is same and run.scene.metadata["policy"] == "MPCPolicy"
         assert record.plan_ms.shape == record.status.shape == (200,)
-        assert record.belief.shape == (200, 1) and record.plan.shape == (200, 21, 2, 2)
+        assert record.plan_belief.shape == (200, 20, 1) and record.plan.shape == (200, 21, 2, 2)
         # Every plan begins where things are.
         assert np.allclose(record.plan[:, 0], run.position[:-1], atol=1e-6)
         # It looks ahead without forces: a near miss, or a touch a step off, can fool it.
-        held, believed = run.contact[1:, 0, 1], record.belief[:, 0] > 0.5
+        held, believed = run.contact[1:, 0, 1], record.plan_belief[:, 0, 0] > 0.5
         assert held.any() and np.sum(believed != held) <= 3
 
 

@@ -96,7 +96,7 @@ def test_the_controller_observes_faults_and_the_recording_is_exact():
             sensor=ContactSensor(), measured=measured,
             on_episode=lambda run, record, to=records: to.append(record),
         )  # fmt: skip
-        beliefs[name] = records[0].belief[:, 0] > 0.5
+        beliefs[name] = records[0].plan_belief[:, 0, 0] > 0.5
     # This world learns of contact from the sensor alone.
     first = {name: int(np.argmax(run.contact[:, 0, 1])) for name, run in runs.items()}
     assert min(first.values()) > 0

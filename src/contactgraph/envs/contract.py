@@ -169,8 +169,8 @@ class ChainCost:
     angle_weight: float = 0.0
     """On the squared difference of its angle from there, 1/rad^2."""
     candidates: tuple[int, ...] = ()
-    """Nodes of which any may stand in the chain's last place, where it is not known which one can
-    be carried; the controller tries them. Empty: the last node alone."""
+    """Nodes, the same in all scenes, of which any may stand in the chain's last place, where it is
+    not known which one can be carried; the controller tries them. Empty: the last node alone."""
     placed_radius: float = 0.0
     """m; nothing is left to be picked up, and `pick_weights` count as 0, while the last node is
     nearer to the goal: otherwise what has put it down would go on touching it."""

@@ -85,7 +85,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         self._shape = count, dimension
         self._pushed: np.ndarray = np.zeros(self._shape)
         self._steps = 0
-        self._fixed_seed = {} if fixed_seed is None else {"fixed_seed": fixed_seed}
+        self._fixed_metadata = {} if fixed_seed is None else {"fixed_seed": fixed_seed}
         self._episode: tuple[Scene, World] | None = None
 
     @abstractmethod
@@ -121,7 +121,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         scene, world = self.begin(scene_seed)
-        metadata = {**scene.metadata, "seed": scene_seed, **self._fixed_seed}
+        metadata = {**scene.metadata, "seed": scene_seed, **self._fixed_metadata}
         self._steps, self._episode = 0, (replace(scene, metadata=metadata), world)
         self._pushed = np.zeros(self._shape)
         return self.observed(), {}

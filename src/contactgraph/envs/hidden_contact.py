@@ -116,7 +116,7 @@ class SuctionTask(CarryTask):
 class ReleaseTask(CarryTask):
     """A gripper whose holds end after a hidden 0.5 to 2 s; a `contactgraph.envs.Task`.
 
-    It holds at touch; a joint force above 5 N ends a hold, too. The pair can be held again only
+    It holds at touch; a joint force above 4 N ends a hold, too. The pair can be held again only
     after it has parted. The control ``[2]`` N is a force on the gripper. The target must end within
     0.1 m of the goal. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
     """

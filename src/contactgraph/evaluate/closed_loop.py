@@ -44,10 +44,8 @@ class ClosedLoopMetrics:
     """Mean of each episode's best score, such as the overlap with a goal; see `ScoredTask`."""
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
-    slowest_before_contact_m_s: float | None
-    """Median of each episode's lowest speed from 0.25 s on to contact ("never stopping")."""
     slowest_before_contact_min_m_s: float | None
-    """The lowest such speed of any episode."""
+    """The lowest speed of any episode from 0.25 s on to contact ("never stopping")."""
     touches_mean: float | None
     """Mean number of times in an episode that the gripper begins to touch the chain's next node."""
     touched_bystanders: int | None
@@ -109,7 +107,6 @@ def closed_loop_metrics(
         within_2cm_rate=float(np.mean(np.less(distances, 0.02))) if distances else None,
         best_score_mean=float(np.mean(scores)) if scores else None,
         contact_speed_m_s=_median([each for each, _ in approaches]),
-        slowest_before_contact_m_s=_median(slowest),
         slowest_before_contact_min_m_s=min(slowest, default=None),
         touches_mean=float(np.mean(touches)) if touches else None,
         touched_bystanders=None if None in touched else sum(bool(each) for each in touched),

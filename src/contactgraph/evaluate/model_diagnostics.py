@@ -52,6 +52,9 @@ class ModelDiagnostics:
     parameters: SpringMassDamper | None
     """Each [T, N, D]. None where the model has no such parameters."""
 
+    def __repr__(self) -> str:
+        return f"ModelDiagnostics(T={self.belief.shape[0]}, E={self.belief.shape[1]})"
+
 
 def model_diagnostics(
     model: ContactDynamics,

@@ -34,11 +34,6 @@ class EpisodeRecord:
     estimated: np.ndarray
     """[T, E] the same for the step that led to each observation, corrected by the observation."""
 
-    @property
-    def belief(self) -> np.ndarray:
-        """[T, E] the same for the coming step."""
-        return self.plan_belief[:, 0]
-
 
 @dataclass(frozen=True)
 class SquaredError(Sums):
