@@ -107,7 +107,7 @@ def test_other_numbers_of_objects_do_not_recompile():
         for _ in range(2):
             assert np.linalg.norm(policy(observation)) > 0.1
         assert policy.record().plan.shape == (2, 6, 2 + distractors, 2)
-        assert policy.record().belief.shape[1] == (2 + distractors) * (1 + distractors) // 2
+        assert policy.record().plan_belief.shape[2] == (2 + distractors) * (1 + distractors) // 2
         traces.append(Counted.traces[0])
     assert traces[0] > 0 and traces == [traces[0]] * 3
 
