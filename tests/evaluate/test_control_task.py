@@ -234,7 +234,7 @@ def test_diagnostics_match_the_controllers_beliefs():
     ):
         policy({"position": position, "velocity": velocity, "contact": contact})
     insight = model_diagnostics(model, run, node_capacity=4)
-    assert np.allclose(insight.belief, policy.record().belief, atol=1e-4)
+    assert np.allclose(insight.belief, policy.record().plan_belief[:, 0], atol=1e-4)
     assert insight.belief.shape == (12, 3) and insight.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
     assert insight.parameters.inverse_mass.shape == (12, 3, 2)
     assert np.all(insight.parameters.stiffness_rate >= 0)
