@@ -7,6 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from matplotlib.figure import Figure
+
+from contactgraph.data import atomic_write
 from contactgraph.evaluate import number_or_word
 from contactgraph_studies.bootstrap import Estimate, Verdict, all_hold
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
@@ -22,6 +25,15 @@ class Picture:
     caption: str
     path: str
     """Of a PNG file, relative to the study's folder."""
+
+
+def write_figure(folder: Path, name: str, title: str, caption: str, figure: Figure) -> Picture:
+    """Write ``figures/NAME.png``."""
+    picture = Picture(title, caption, f"figures/{name}.png")
+    (folder / picture.path).parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(folder / picture.path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
+    return picture
 
 
 class ClaimMetric(NamedTuple):

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from made_up import Change, cost_results, pixels
+from made_up import Change, cost_results
 
 from contactgraph.control import LearningHistory, write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
@@ -27,13 +27,11 @@ from contactgraph_studies.cost.known_answer import (
     own_cost,
     read_answers,
 )
-from contactgraph_studies.cost.study import CostStudy, cost_table, success_figure, transfers
+from contactgraph_studies.cost.study import CostStudy, cost_table, transfers
 from contactgraph_studies.paper.config import DOOR, MULTI_PICKUP, PICKUP
-from contactgraph_studies.results import Results
 
 RATIO = "learned over hidden"
 FEWEST, *_, MOST = by_demonstrations(FULL_COST)
-NONE = Results({})
 
 
 @pytest.mark.parametrize(
@@ -135,11 +133,6 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
     second = read_answers(tmp_path, wanted, DOOR, by_learned)
     assert len(second) == 1 and np.isnan(second[0].at_limit)
     assert known_answer_terms(second)[0][RATIO].values == pytest.approx((0.5**0.5,))
-
-
-def test_the_figure_shows_measurements_and_needs_none() -> None:
-    whole, empty = (success_figure(each, COST_TASKS, FULL_COST) for each in (cost_results(), NONE))
-    assert not np.array_equal(pixels(empty), pixels(whole))
 
 
 def test_a_study_without_measurements(tmp_path: Path) -> None:

@@ -11,10 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from contactgraph.data import read_trajectories
+from contactgraph.model.io import load_model
+from contactgraph.viz import scene_trajectory
 from contactgraph.viz.figures import LEGEND, TEXT, new_figure, parameter_figure
 from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph.viz.summary_figure import style_axes
-from contactgraph_studies import figures
 from contactgraph_studies.bootstrap import estimate
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
@@ -34,7 +36,7 @@ from contactgraph_studies.paper.jobs import (
     recorded,
 )
 from contactgraph_studies.results import Quantity, Results, SeedStatistic
-from contactgraph_studies.study import Picture
+from contactgraph_studies.study import Picture, write_figure
 
 _LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 _DOTTED = (0, (2, 3))
@@ -75,7 +77,7 @@ def figure_pictures(
         caption = "Out of distribution, on recorded trajectories; with intervals of 95 %."
         figure = sample_figure(results, sampled, amounts)
         drawn.append(("sample-efficiency", title, caption, figure))
-    return [figures.write_figure(folder, *one) for one in drawn]
+    return [write_figure(folder, *one) for one in drawn]
 
 
 def parameter_pictures(
@@ -91,11 +93,13 @@ def parameter_pictures(
             continue
         title = f"Belief and learned parameters, {task.name}, {family.name}"
         model = folder / job.needs[0].output / "model.safetensors"
-        scene = figures.first_episode(folder / job.output, model, task.name)
-        if scene is not None:
+        trajectories = (folder / job.output).with_suffix(".h5")
+        if trajectories.is_file() and model.is_file():
+            first = read_trajectories(trajectories).trajectories[0]
+            scene = scene_trajectory(load_model(model).model, task.name, first)
             name = f"parameters-{task.name}-{family.slug}"
             drawn = parameter_figure(scene)
-            pictures.append(figures.write_figure(folder, name, title, caption, drawn))
+            pictures.append(write_figure(folder, name, title, caption, drawn))
     return pictures
 
 
@@ -138,7 +142,7 @@ def _draw_errors(axes: Axes, results: Results, task: StudyTask, family: Family) 
 
 def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
     """Edges that GIM-Temp predicts wrongly on recorded trajectories, by fault of the sensor."""
-    figure, panels = figures.panel_row(tasks, 3.6, 1.6, 4.0)
+    figure, panels = _panels(tasks, 3.6, 1.6)
     names = ["exact", "no sensor", *(fault.name for fault in FAULTS)]
     wrong, unmeasured = _wrong(jobs.EDGE_ACCURACY), _wrong(jobs.UNMEASURED_ACCURACY)
     for axes, task in zip(panels, tasks, strict=True):
@@ -161,7 +165,7 @@ def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
 
 def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Figure:
     """Open-loop error out of distribution against the number of training trajectories."""
-    figure, panels = figures.panel_row(tasks, 5.0, 0.6, 4.0)
+    figure, panels = _panels(tasks, 5.0, 0.6)
     sizes = amounts.sample_sizes
     for axes, task in zip(panels, tasks, strict=True):
         for family in task.families:
@@ -183,6 +187,16 @@ def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts
     _legend_below(figure, panels[0])
     panels[0].set_ylabel("open-loop error of moving bodies, cm", **TEXT)
     return figure
+
+
+def _panels(tasks: Sequence[StudyTask], width: float, margin: float) -> tuple[Figure, list[Axes]]:
+    """A figure with one panel of ``width`` inches for each task, side by side."""
+    figure = new_figure(width * len(tasks) + margin, 4.0)
+    panels = list(figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0])
+    for axes, task in zip(panels, tasks, strict=True):
+        axes.set_title(task.name, fontsize=11, color=INK, loc="left")
+        style_axes(axes)
+    return figure, panels
 
 
 def _legend_below(figure: Figure, axes: Axes) -> None:
