@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
 from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
-from contactgraph_studies.job import Options, Variant
+from contactgraph_studies.job import Options
 
 
 @dataclass(frozen=True)
@@ -238,17 +238,6 @@ FRANKA = StudyTask(
 TASKS = (PICKUP, MULTI_PICKUP, DOOR)
 """The planar tasks, of which the study of all consists."""
 EVERY_TASK = (*TASKS, FRANKA)
-
-_RATES = {1: "0.01", 5: "0.05", 20: "0.2"}
-FAULTS = (
-    *(
-        Variant(f"{kind}-{percent}", f"{percent} % {name}", (f"--{kind}", rate))
-        for kind, name in (("false-alarms", "false alarms"), ("misses", "misses"))
-        for percent, rate in _RATES.items()
-    ),
-    Variant("delay-1", "one step late", ("--delay", "1")),
-    Variant("delay-2", "two steps late", ("--delay", "2")),
-)
 
 FULL = Amounts(
     seeds=(0, 1, 2),
