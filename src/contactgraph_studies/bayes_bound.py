@@ -12,7 +12,6 @@ import copy
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +20,6 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
 from contactgraph.cli.options import check_range
 from contactgraph.cli.output import check_writable, write_json
 from contactgraph.cli.tasks import recorded_task
@@ -36,7 +34,7 @@ from contactgraph.envs.grip import HIDDEN_OFF, HIDDEN_ON, HOLD_TIME, BreakingHol
 from contactgraph.envs.gripper_task import DT, GRIPPER
 from contactgraph.envs.hidden_contact import HOLD_SHARE
 from contactgraph.envs.planar.world import PlanarWorld
-from contactgraph.evaluate import evaluate_open_loop, forced_windows, horizon_steps
+from contactgraph.evaluate import horizon_steps
 from contactgraph.evaluate.forced import EVERY, Branch, branches, controls_of
 from contactgraph.evaluate.statistics import moving_errors
 from contactgraph.viz.metric_table import short
@@ -44,7 +42,6 @@ from contactgraph_studies.interacting_models import (
     HELD,
     ModeChain,
     held_probability,
-    pairs,
     touches,
 )
 from contactgraph_studies.tables import StudyTable
@@ -57,6 +54,9 @@ SAMPLES = 12
 
 class Posterior:
     """What is hidden in an episode, given its recorded states: by default nothing."""
+
+    draws = False
+    """Whether anything is drawn."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.near = touches(trajectory)
@@ -73,6 +73,8 @@ class Posterior:
 
 class HoldTime(Posterior):
     """The duration of a hold, uniform from 0.5 to 2 s, given that it has lasted until now."""
+
+    draws = True
 
     def redraw(self, world: PlanarWorld, start: int, rng: np.random.Generator | None) -> None:
         """A hold began anywhere within the step before the state in which it was first seen."""
@@ -108,6 +110,8 @@ class Switch(Posterior):
 
     It stays off, or on, for a number of substeps that is uniform between two bounds.
     """
+
+    draws = True
 
     def __init__(self, trajectory: Trajectory) -> None:
         super().__init__(trajectory)
@@ -155,6 +159,8 @@ class Switch(Posterior):
 class Holders(Posterior):
     """The bodies that hold, of which those that were touched are known."""
 
+    draws = True
+
     def __init__(self, trajectory: Trajectory) -> None:
         super().__init__(trajectory)
         names = trajectory.scene.node_name
@@ -185,22 +191,25 @@ POSTERIORS = {"suction": Switch, "release": HoldTime, "delay": Posterior, "stick
 class InteractingModels(Posterior):
     """The modes of pairs by the filter up to a state, and by the Markov chain from there on."""
 
+    draws = True
+
     def __init__(self, trajectory: Trajectory, chain: ModeChain) -> None:
         super().__init__(trajectory)
-        self._chain = chain
-        self._held = [held_probability(pair, chain) for pair in pairs(trajectory)]
+        self._begin, self._transition = chain.begin, chain.transition_in(1.0 / SUBSTEPS)
+        nodes = range(1, trajectory.scene.node_count)
+        self.held_probability = {node: held_probability(trajectory, node, chain) for node in nodes}
+        """[T + 1] by node."""
 
     def redraw(self, world: PlanarWorld, start: int, rng: np.random.Generator | None) -> None:
         """The gripper holds what it likely does, or as it is drawn after each substep."""
-        transition = self._chain.transition_in(1.0 / SUBSTEPS)
-        held = {1 + index: each[start] for index, each in enumerate(self._held)}
+        held = {node: each[start] for node, each in self.held_probability.items()}
 
         def given(near: set[int]) -> set[int]:
             nonlocal held
             held = {
-                node: transition[:, HELD] @ (1.0 - held[node], held[node])
+                node: self._transition[:, HELD] @ (1.0 - held[node], held[node])
                 if node in held
-                else self._chain.begin[HELD]
+                else self._begin[HELD]
                 for node in sorted(near)
             }
             if rng is not None:
@@ -211,10 +220,7 @@ class InteractingModels(Posterior):
 
 
 class Assumed(Posterior):
-    """All that the gripper touches is held, or free: the geometric prior in the place of inference.
-
-    ``holds`` says which.
-    """
+    """What the gripper touches is held, or free: the geometric prior in the place of inference."""
 
     def __init__(self, trajectory: Trajectory, holds: bool) -> None:
         super().__init__(trajectory)
@@ -226,130 +232,109 @@ class Assumed(Posterior):
 
 
 def _give(world: PlanarWorld, given: Callable[[set[int]], set[int]]) -> None:
-    """The gripper holds what is given from now on, before the next substep."""
+    """The gripper holds what is given, before the next substep already."""
     world.hold = GivenHold(given)
     world.hold.update(world, 0.0)
+
+
+def posteriors(trajectory: Trajectory, chain: ModeChain | None) -> dict[str, Posterior]:
+    """By name, those of a recorded episode.
+
+    Raises `InvalidInputError` where the data have no hidden hold.
+    """
+    metadata = trajectory.scene.metadata
+    name = str(metadata.get("task"))
+    if name not in POSTERIORS or not metadata.get("hidden_switch", True):
+        raise InvalidInputError(
+            f"the bound is of suction --hidden-switch, release, delay and sticky, found {name}"
+        )
+    found: dict[str, Posterior] = {"Bayes": POSTERIORS[name](trajectory)}
+    if chain is not None:
+        found["IMM"] = InteractingModels(trajectory, chain)
+    return found | {
+        "prior-hold": Assumed(trajectory, holds=True),
+        "prior-touch": Assumed(trajectory, holds=False),
+    }
 
 
 def bayes_bound(
     dataset: Dataset, chain: ModeChain | None = None, every: int = EVERY, samples: int = SAMPLES
 ) -> dict[str, Any]:
-    """`moving_errors` of each prediction of the windows of `forced_windows`, 0.5 s long.
+    """`moving_errors` of predictions of the windows of `forced_windows`, 0.5 s long.
 
-    Predictions are a simulation of the likeliest hidden part, and the mean of ``samples``; the
-    squared error of a mean is without what the number of samples adds to it, the variance of their
-    mean. Without a ``chain`` there is no filter of interacting models. Raises `InvalidInputError`
-    as `recorded_task` and `branches`, and where the data have no hidden hold.
+    A prediction is a simulation of the likeliest hidden part, or the mean of ``samples``. Without a
+    ``chain`` there is no filter of interacting models. Raises `InvalidInputError` as
+    `recorded_task`, `branches` and `posteriors`.
     """
-    for trajectory in dataset:
-        metadata = trajectory.scene.metadata
-        name = metadata.get("task")
-        if name not in POSTERIORS or not metadata.get("hidden_switch", True):
-            raise InvalidInputError(
-                "the bound is of suction --hidden-switch, release, delay and sticky, found "
-                f"{f'{name} without it' if name in POSTERIORS else name}"
-            )
     steps = horizon_steps(dataset, None)
-    moving: list[tuple[int, float]] = []
-    squared: dict[str, list[float]] = {}
+    windows: list[dict[str, float]] = []
     for index, trajectory in enumerate(dataset):
-        drawn = {"Bayes": POSTERIORS[str(trajectory.scene.metadata["task"])](trajectory)}
-        if chain is not None:
-            drawn["interacting models"] = InteractingModels(trajectory, chain)
-        fixed = {f"prior-{name}": Assumed(trajectory, name == "hold") for name in ("hold", "touch")}
-        rngs = {name: np.random.default_rng([1, index]) for name in drawn}
+        compared = posteriors(trajectory, chain)
         task = recorded_task(dataset, trajectory)
         for branch in branches(task, trajectory, steps, controls_of(index), every):
-            window = _Window(branch, steps)
-            moving.append((index, float(window.moves.sum())))
-            found = {name: window.error(each) for name, each in fixed.items()}
-            for name, each in drawn.items():
-                found[f"{name}, likeliest"] = window.error(each)
-                found[f"{name}, mean"] = window.error_of_mean(each, samples, rngs[name])
-            for name, error in found.items():
-                squared.setdefault(name, []).append(error)
-    episode, bodies = np.array(moving).T
+            rng = np.random.default_rng([1, index, branch.start])
+            windows.append({"episode": index} | _errors(branch, compared, steps, samples, rng))
+    columns = {name: np.array([each[name] for each in windows]) for name in windows[0]}
+    episode, bodies = columns.pop("episode"), columns.pop("bodies")
     return {
-        "windows": len(moving),
+        "windows": len(windows),
         "episodes": len(dataset),
-        "predictions": {
-            name: moving_errors(np.array(squared[name]), bodies, episode)
-            for name in sorted(squared)
-        },
+        "errors_m": {name: moving_errors(each, bodies, episode) for name, each in columns.items()},
     }
 
 
-class _Window:
-    """A forced window, and the errors of its simulations: sums over moving bodies of mean squares,
-    m^2."""
+def _errors(
+    branch: Branch,
+    compared: Mapping[str, Posterior],
+    steps: int,
+    samples: int,
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Of a window: the bodies that move, and by prediction the sum of their mean squared errors,
+    m^2.
 
-    def __init__(self, branch: Branch, steps: int) -> None:
-        self._branch, self._steps = branch, steps
-        self._true = self._simulated(copy.deepcopy(branch))
-        self.moves = moving_bodies(self._true)
+    That of a mean is without what the number of samples adds, the variance of their mean.
+    """
 
-    def error(self, posterior: Posterior) -> float:
-        """Of the likeliest hidden part."""
-        return self._summed((self._redrawn(posterior, None) - self._true) ** 2)
+    def simulated(posterior: Posterior | None, rng: np.random.Generator | None) -> np.ndarray:
+        other: Any = copy.deepcopy(branch)
+        if posterior is not None:
+            posterior.redraw(other.task.world, branch.start, rng)
+        return np.asarray(other.trajectory(steps).position[branch.start :])
 
-    def error_of_mean(self, posterior: Posterior, samples: int, rng: np.random.Generator) -> float:
-        """Of the mean of all simulations, estimated without bias."""
-        drawn = np.stack([self._redrawn(posterior, rng) for _ in range(samples)])
-        excess = drawn.var(axis=0, ddof=1) / samples
-        return max(self._summed((drawn.mean(axis=0) - self._true) ** 2 - excess), 0.0)
+    true = simulated(None, None)
+    moves = moving_bodies(true)
 
-    def _redrawn(self, posterior: Posterior, rng: np.random.Generator | None) -> np.ndarray:
-        other: Any = copy.deepcopy(self._branch)
-        posterior.redraw(other.task.world, other.start, rng)
-        return self._simulated(other)
+    def summed(squared: np.ndarray) -> float:
+        return max(float(squared[1:].sum(axis=-1).mean(axis=0) @ moves), 0.0)
 
-    def _simulated(self, branch: Branch) -> np.ndarray:
-        return branch.trajectory(self._steps).position[branch.start :]
-
-    def _summed(self, squared: np.ndarray) -> float:
-        return float(squared[1:].sum(axis=-1).mean(axis=0) @ self.moves)
-
-
-def model_errors(name: str, dataset: Dataset, every: int) -> dict[str, Any]:
-    """`moving_errors` of a trained model in the same windows, which corrects beliefs by motion."""
-    model = stored_model(name)
-    task_of = partial(recorded_task, dataset)
-    windows, episodes = forced_windows(
-        in_steps_of(model, dataset, "the data"), task_of, horizon_steps(dataset, None), every
-    )
-    noise = motion_evidence(model, asked=True, ignored=False)
-    metrics = evaluate_open_loop(model, windows, motion_noise=noise, last_window_of=episodes)
-    values = metrics.to_json()
-    ends = ("rmse", "rmse_interval", "mean", "mean_interval")
-    return {end: values[f"n_step_{end}_moving_inferred_m"] for end in ends}
+    found = {"bodies": float(moves.sum())}
+    for name, posterior in compared.items():
+        found[name] = summed((simulated(posterior, None) - true) ** 2)
+        if posterior.draws:
+            drawn = np.stack([simulated(posterior, rng) for _ in range(samples)])
+            excess = drawn.var(axis=0, ddof=1) / samples
+            found[f"{name}, mean"] = summed((drawn.mean(axis=0) - true) ** 2 - excess)
+    return found
 
 
-def error_table(predictions: Mapping[str, Mapping[str, Any]]) -> StudyTable:
-    """A row for each prediction."""
-
-    def text(errors: Mapping[str, Any], name: str) -> str:
-        low, high = (short(100.0 * end) for end in errors[f"{name}_interval"])
-        return f"{short(100.0 * errors[name])} ({low} to {high})"
-
-    return StudyTable(
-        title="Forced windows",
-        caption="Errors of the bodies that move, cm, with intervals of 95 % over episodes.",
-        headings={
-            "name": "prediction",
-            "rmse": "RMSE, cm",
-            "mean": "mean of the windows' errors, cm",
-        },
-        rows=[
-            {"name": name, "rmse": text(errors, "rmse"), "mean": text(errors, "mean")}
-            for name, errors in predictions.items()
-        ],
-    )
+def error_table(errors: Mapping[str, Mapping[str, Any]]) -> StudyTable:
+    """Of the predictions of `bayes_bound`, cm."""
+    headings = {"rmse": "RMSE, cm (95 %)", "mean": "mean of the windows' errors, cm (95 %)"}
+    rows = []
+    for prediction, values in errors.items():
+        row = {"prediction": prediction}
+        for name in headings:
+            each = (values[name], *values[f"{name}_interval"])
+            value, low, high = (short(100.0 * number) for number in each)
+            row[name] = f"{value} ({low} to {high})"
+        rows.append(row)
+    return StudyTable("Forced windows", "", {"prediction": "prediction"} | headings, rows)
 
 
 def main(
     data: Positional[Path],
     train: Path | None = None,
-    model: str | None = None,
     json: Path | None = None,
     every: int = EVERY,
     samples: int = SAMPLES,
@@ -358,8 +343,7 @@ def main(
 
     Args:
         data: A dataset file (HDF5) of suction --hidden-switch, release, delay or sticky.
-        train: A dataset file to count the transitions of the interacting models in.
-        model: A run folder or a model to measure beside, as `contactgraph evaluate --forced` does.
+        train: A dataset file in which the transitions of interacting models are counted.
         json: Write the numbers to this file.
         every: States from one window to the next.
         samples: Simulations of a window, of whose mean the error is measured.
@@ -367,14 +351,11 @@ def main(
     check_writable(json)
     check_range("--every", every, 1, 100_000)
     check_range("--samples", samples, 2, 100_000)
-    dataset = read_trajectories(data)
     chain = None if train is None else ModeChain.counted(read_trajectories(train))
-    found = bayes_bound(dataset, chain, every, samples)
-    if model is not None:
-        found["predictions"][model] = model_errors(model, dataset, every)
+    found = bayes_bound(read_trajectories(data), chain, every, samples)
     write_json(json, {"data": str(data), **found})
     print(f"{data}: {found['windows']} windows of {found['episodes']} episodes")
-    print(error_table(found["predictions"]).markdown())
+    print(error_table(found["errors_m"]).markdown())
 
 
 if __name__ == "__main__":
