@@ -85,7 +85,7 @@ def test_an_observed_switch():
     for seed in range(300):
         world = SimpleNamespace(hold=None)
         switch.redraw(world, 30, np.random.default_rng(seed))
-        drawn.append([world.hold.on() for _ in range(120)])
+        drawn.append([len(world.hold.given({1})) for _ in range(120)])
     for passed in (0.3, 0.45, 0.6):
         found = np.mean(drawn, axis=0)[round(200 * passed) - 1]
         assert found == pytest.approx(on[30 + round(passed / DT)], abs=0.08)
@@ -113,7 +113,8 @@ def test_nothing_is_hidden_in_delay():
     data = Dataset((run_episode(DelayTask(), CarryExpert(), 3),))
     found = bayes_bound(data, every=60, samples=2)
     assert found["windows"] == 4 and found["episodes"] == 1
-    assert found["likeliest_rmse_m"] == found["posterior_mean_mean_m"] == 0.0
+    assert found["errors_m"]["Bayes"]["rmse"] == found["errors_m"]["Bayes"]["mean"] == 0.0
+    assert found["errors_m"]["prior-touch"]["rmse"] > 0.0
     visible = Dataset((run_episode(PickupTask(), PickupExpert(), 3),))
     with pytest.raises(InvalidInputError, match=r"suction --hidden-switch, .* found pickup"):
         bayes_bound(visible)
