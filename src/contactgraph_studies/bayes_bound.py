@@ -3,9 +3,9 @@
 A window is simulated by the true engine, with the hidden part drawn from its exact posterior given
 the recorded states up to the window's start; commands are interventions and tell nothing. The mean
 of these simulations has the least root mean square error of all predictions from the past (Bayes).
-Beside it stand, in the same engine, a filter of interacting models, and what takes all that touches
-for held, or for free. Run as ``python -m contactgraph_studies.bayes_bound TEST.h5 --train
-TRAIN.h5``.
+Beside it stands, in the same engine, what takes all that touches for held, or for free. Run as
+``python -m contactgraph_studies.bayes_bound TEST.h5``; ``benchmarks/interacting_models.py`` adds
+a classical filter and a trained model.
 """
 
 import copy
@@ -38,18 +38,26 @@ from contactgraph.evaluate import horizon_steps
 from contactgraph.evaluate.forced import EVERY, Branch, branches, controls_of
 from contactgraph.evaluate.statistics import moving_errors
 from contactgraph.viz.metric_table import short
-from contactgraph_studies.interacting_models import (
-    HELD,
-    ModeChain,
-    held_probability,
-    touches,
-)
 from contactgraph_studies.tables import StudyTable
 
 SUBSTEPS = 10
 """Of a step; after each of them a hold may begin or end."""
 SAMPLES = 12
 """Simulations of a window."""
+TOUCH = 1e-4
+"""Distance of surfaces up to which bodies touch, m."""
+
+
+def touches(trajectory: Trajectory) -> np.ndarray:
+    """[T + 1, N] bool, whether the gripper and a node touch by their positions.
+
+    Raises `InvalidInputError` where the trajectory lacks a field that the tasks record.
+    """
+    radius, position = trajectory.scene.radius, trajectory.position
+    if radius is None or trajectory.contact is None or trajectory.holding is None:
+        raise InvalidInputError("the data must have radius, contact and holding, as collect writes")
+    apart = np.linalg.norm(position - position[:, [GRIPPER]], axis=-1)
+    return np.asarray(apart < radius + radius[GRIPPER] + TOUCH)
 
 
 class Posterior:
@@ -188,37 +196,6 @@ POSTERIORS = {"suction": Switch, "release": HoldTime, "delay": Posterior, "stick
 """By the name of the task."""
 
 
-class InteractingModels(Posterior):
-    """The modes of pairs by the filter up to a state, and by the Markov chain from there on."""
-
-    draws = True
-
-    def __init__(self, trajectory: Trajectory, chain: ModeChain) -> None:
-        super().__init__(trajectory)
-        self._begin, self._transition = chain.begin, chain.transition_in(1.0 / SUBSTEPS)
-        nodes = range(1, trajectory.scene.node_count)
-        self.held_probability = {node: held_probability(trajectory, node, chain) for node in nodes}
-        """[T + 1] by node."""
-
-    def redraw(self, world: PlanarWorld, start: int, rng: np.random.Generator | None) -> None:
-        """The gripper holds what it likely does, or as it is drawn after each substep."""
-        held = {node: each[start] for node, each in self.held_probability.items()}
-
-        def given(near: set[int]) -> set[int]:
-            nonlocal held
-            held = {
-                node: self._transition[:, HELD] @ (1.0 - held[node], held[node])
-                if node in held
-                else self._begin[HELD]
-                for node in sorted(near)
-            }
-            if rng is not None:
-                held = {node: float(rng.random() < share) for node, share in held.items()}
-            return {node for node, share in held.items() if share > 0.5}
-
-        _give(world, given)
-
-
 class Assumed(Posterior):
     """What the gripper touches is held, or free: the geometric prior in the place of inference."""
 
@@ -228,19 +205,19 @@ class Assumed(Posterior):
 
     def redraw(self, world: PlanarWorld, start: int, rng: np.random.Generator | None) -> None:
         """The same in every state."""
-        _give(world, lambda near: near if self._holds else set())
+        hold_given(world, lambda near: near if self._holds else set())
 
 
-def _give(world: PlanarWorld, given: Callable[[set[int]], set[int]]) -> None:
+def hold_given(world: PlanarWorld, given: Callable[[set[int]], set[int]]) -> None:
     """The gripper holds what is given, before the next substep already."""
     world.hold = GivenHold(given)
     world.hold.update(world, 0.0)
 
 
-def posteriors(trajectory: Trajectory, chain: ModeChain | None) -> dict[str, Posterior]:
-    """By name, those of a recorded episode.
+def posteriors(trajectory: Trajectory) -> dict[str, Posterior]:
+    """By name, of a recorded episode: the exact one, and what needs no inference.
 
-    Raises `InvalidInputError` where the data have no hidden hold.
+    Raises `InvalidInputError` where there is no hidden hold.
     """
     metadata = trajectory.scene.metadata
     name = str(metadata.get("task"))
@@ -248,29 +225,28 @@ def posteriors(trajectory: Trajectory, chain: ModeChain | None) -> dict[str, Pos
         raise InvalidInputError(
             f"the bound is of suction --hidden-switch, release, delay and sticky, found {name}"
         )
-    found: dict[str, Posterior] = {"Bayes": POSTERIORS[name](trajectory)}
-    if chain is not None:
-        found["IMM"] = InteractingModels(trajectory, chain)
-    return found | {
+    return {
+        "Bayes": POSTERIORS[name](trajectory),
         "prior-hold": Assumed(trajectory, holds=True),
         "prior-touch": Assumed(trajectory, holds=False),
     }
 
 
 def bayes_bound(
-    dataset: Dataset, chain: ModeChain | None = None, every: int = EVERY, samples: int = SAMPLES
+    dataset: Dataset,
+    every: int = EVERY,
+    samples: int = SAMPLES,
+    posteriors: Callable[[Trajectory], Mapping[str, Posterior]] = posteriors,
 ) -> dict[str, Any]:
     """`moving_errors` of predictions of the windows of `forced_windows`, 0.5 s long.
 
-    A prediction is a simulation of the likeliest hidden part, or the mean of ``samples``. Without a
-    ``chain`` there is no filter of interacting models. Raises `InvalidInputError` as
-    `recorded_task`, `branches` and `posteriors`.
+    A prediction is a simulation of the likeliest hidden part, or the mean of ``samples``. Raises
+    `InvalidInputError` as `recorded_task`, `branches` and ``posteriors``.
     """
     steps = horizon_steps(dataset, None)
     windows: list[dict[str, float]] = []
     for index, trajectory in enumerate(dataset):
-        compared = posteriors(trajectory, chain)
-        task = recorded_task(dataset, trajectory)
+        compared, task = posteriors(trajectory), recorded_task(dataset, trajectory)
         for branch in branches(task, trajectory, steps, controls_of(index), every):
             rng = np.random.default_rng([1, index, branch.start])
             windows.append({"episode": index} | _errors(branch, compared, steps, samples, rng))
@@ -333,17 +309,12 @@ def error_table(errors: Mapping[str, Mapping[str, Any]]) -> StudyTable:
 
 
 def main(
-    data: Positional[Path],
-    train: Path | None = None,
-    json: Path | None = None,
-    every: int = EVERY,
-    samples: int = SAMPLES,
+    data: Positional[Path], json: Path | None = None, every: int = EVERY, samples: int = SAMPLES
 ) -> None:
     """Measure the least error of predictions on forced windows of a dataset with a hidden hold.
 
     Args:
         data: A dataset file (HDF5) of suction --hidden-switch, release, delay or sticky.
-        train: A dataset file in which the transitions of interacting models are counted.
         json: Write the numbers to this file.
         every: States from one window to the next.
         samples: Simulations of a window, of whose mean the error is measured.
@@ -351,8 +322,7 @@ def main(
     check_writable(json)
     check_range("--every", every, 1, 100_000)
     check_range("--samples", samples, 2, 100_000)
-    chain = None if train is None else ModeChain.counted(read_trajectories(train))
-    found = bayes_bound(read_trajectories(data), chain, every, samples)
+    found = bayes_bound(read_trajectories(data), every, samples)
     write_json(json, {"data": str(data), **found})
     print(f"{data}: {found['windows']} windows of {found['episodes']} episodes")
     print(error_table(found["errors_m"]).markdown())

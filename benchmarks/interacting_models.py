@@ -1,41 +1,53 @@
 """An interacting-multiple-model filter of holding (Blom and Bar-Shalom 1988), by FilterPy.
 
+It predicts the forced windows of `contactgraph_studies.bayes_bound`, beside the bound and, with
+``--model``, a trained model:
+
+    python benchmarks/interacting_models.py TEST.h5 TRAIN.h5 --model RUN
+
 It is given what a learned filter must find out: the linear models of both modes of a gripper and a
-body, where bodies touch, and the transition matrix of the true modes of training data. A mode does
-not know how long it has lasted, so holds that begin or end after a time are beyond it.
+body, where bodies touch, and the transition matrix of the true modes of the training data; from a
+window's start on, the Markov chain decides in the true engine. A mode does not know how long it has
+lasted, so holds that begin or end after a time are beyond it.
 
 The switching models of ``dynamax`` can be told less: their transitions depend on neither state nor
 control (probml/dynamax, issue 338 and pull request 452), hence not on geometry, nor on how long a
 mode has lasted, and every series has the same size, hence the same number of bodies.
 """
 
+import argparse
+import sys
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import fractional_matrix_power
 
-from contactgraph.data import Dataset, InvalidInputError, Trajectory
+from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
+from contactgraph.cli.output import write_json
+from contactgraph.cli.tasks import recorded_task
+from contactgraph.data import Dataset, InvalidInputError, Trajectory, read_trajectories
 from contactgraph.envs.gripper_task import GRIPPER
+from contactgraph.envs.planar.world import PlanarWorld
+from contactgraph.evaluate import evaluate_open_loop, forced_windows, horizon_steps
+from contactgraph_studies.bayes_bound import (
+    SUBSTEPS,
+    Posterior,
+    bayes_bound,
+    error_table,
+    hold_given,
+    posteriors,
+    touches,
+)
 
 FREE, HELD = 0, 1
-TOUCH = 1e-4
-"""Distance of surfaces up to which bodies touch, m."""
 _NOISE = 1e-3
 """Of velocities, m/s: almost all residuals of the true mode are smaller."""
 _APART = np.array([1.0 - 1e-9, 1e-9])
 """Probability of the modes of a pair that does not touch; the filter divides by it."""
-
-
-def touches(trajectory: Trajectory) -> np.ndarray:
-    """[T + 1, N] bool, whether the gripper and a node touch by their positions.
-
-    Raises `InvalidInputError` where the trajectory lacks a field that the tasks record.
-    """
-    radius, position = trajectory.scene.radius, trajectory.position
-    if radius is None or trajectory.contact is None or trajectory.holding is None:
-        raise InvalidInputError("the data must have radius, contact and holding, as collect writes")
-    apart = np.linalg.norm(position - position[:, [GRIPPER]], axis=-1)
-    return np.asarray(apart < radius + radius[GRIPPER] + TOUCH)
 
 
 def modes(trajectory: Trajectory) -> np.ndarray:
@@ -91,8 +103,6 @@ class ModeChain:
 
 def held_probability(trajectory: Trajectory, body: int, chain: ModeChain) -> np.ndarray:
     """[T + 1] that a body is held in each state, by its motion up to there."""
-    from filterpy.kalman import IMMEstimator, KalmanFilter  # of an extra
-
     velocity, gripper = (trajectory.velocity[:, node, :, None] for node in (body, GRIPPER))
     near = touches(trajectory)[:, body]
     transitions = chain.transitions(near)
@@ -111,3 +121,78 @@ def held_probability(trajectory: Trajectory, body: int, chain: ModeChain) -> np.
         estimator.update(velocity[step + 1])
         held.append(estimator.mu[HELD])
     return np.array(held)
+
+
+class InteractingModels(Posterior):
+    """The modes of pairs by the filter up to a state, and by the Markov chain from there on."""
+
+    draws = True
+
+    def __init__(self, trajectory: Trajectory, chain: ModeChain) -> None:
+        super().__init__(trajectory)
+        self._begin, self._transition = chain.begin, chain.transition_in(1.0 / SUBSTEPS)
+        nodes = range(1, trajectory.scene.node_count)
+        self.held_probability = {node: held_probability(trajectory, node, chain) for node in nodes}
+        """[T + 1] by node."""
+
+    def redraw(self, world: PlanarWorld, start: int, rng: np.random.Generator | None) -> None:
+        """The gripper holds what it likely does, or as it is drawn after each substep."""
+        held = {node: each[start] for node, each in self.held_probability.items()}
+
+        def given(near: set[int]) -> set[int]:
+            nonlocal held
+            held = {
+                node: self._transition[:, HELD] @ (1.0 - held[node], held[node])
+                if node in held
+                else self._begin[HELD]
+                for node in sorted(near)
+            }
+            if rng is not None:
+                held = {node: float(rng.random() < share) for node, share in held.items()}
+            return {node for node, share in held.items() if share > 0.5}
+
+        hold_given(world, given)
+
+
+def model_errors(name: str, dataset: Dataset) -> dict[str, Any]:
+    """Of a trained model in the same windows, which corrects its beliefs by motion."""
+    model = stored_model(name)
+    dataset = in_steps_of(model, dataset, "the data")
+    steps = horizon_steps(dataset, None)
+    windows, episodes = forced_windows(dataset, partial(recorded_task, dataset), steps)
+    noise = motion_evidence(model, asked=True, ignored=False)
+    metrics = evaluate_open_loop(model, windows, motion_noise=noise, last_window_of=episodes)
+    values = metrics.to_json()
+    ends = ("rmse", "rmse_interval", "mean", "mean_interval")
+    return {end: values[f"n_step_{end}_moving_inferred_m"] for end in ends}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("train", type=Path)
+    parser.add_argument("--model")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    dataset, chain = (
+        read_trajectories(given.data),
+        ModeChain.counted(read_trajectories(given.train)),
+    )
+
+    def compared(trajectory: Trajectory) -> dict[str, Posterior]:
+        return posteriors(trajectory) | {"IMM": InteractingModels(trajectory, chain)}
+
+    found = bayes_bound(dataset, posteriors=compared)
+    if given.model is not None:
+        found["errors_m"][given.model] = model_errors(given.model, dataset)
+    write_json(given.json, {"data": str(given.data), **found})
+    print(f"{given.data}: {found['windows']} windows of {found['episodes']} episodes")
+    print(error_table(found["errors_m"]).markdown())
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except InvalidInputError as error:
+        print(f"interacting_models: {error}", file=sys.stderr)
+        sys.exit(2)
