@@ -259,9 +259,9 @@ class Results:
         ]
 
 
-def with_range(statistic: SeedStatistic, unit: str = "") -> str:
+def with_range(statistic: SeedStatistic) -> str:
     """The median, and the range of several seeds."""
-    median = with_unit(statistic.median, unit)
+    median = short(statistic.median)
     if len(statistic.values) < 2:
         return median
     return f"{median} ({short(statistic.low)} to {short(statistic.high)})"
@@ -272,10 +272,3 @@ def smallest(medians: Mapping[str, float]) -> frozenset[str]:
     shown = {name: short(value) for name, value in medians.items() if math.isfinite(value)}
     least = min(shown.values(), key=float, default="")
     return frozenset(name for name, text in shown.items() if text == least)
-
-
-def joined(parts: Sequence[str]) -> str:
-    """``a, b and c``."""
-    if len(parts) < 2:
-        return "".join(parts)
-    return f"{', '.join(parts[:-1])} and {parts[-1]}"

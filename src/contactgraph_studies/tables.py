@@ -18,11 +18,6 @@ def cell_text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def known_text(value: SeedStatistic) -> str:
-    """Median with range; nothing if no value is known."""
-    return with_range(value) if value.known else ""
-
-
 DASH = "-"
 
 

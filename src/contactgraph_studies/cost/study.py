@@ -35,7 +35,7 @@ from contactgraph_studies.results import (
     SeedStatistic,
 )
 from contactgraph_studies.study import Claim, Picture, Study, StudyResult, write_figure
-from contactgraph_studies.tables import StudyTable, counts, known_text
+from contactgraph_studies.tables import StudyTable, counts, number_text
 
 _PAPER = 0.98
 _TOUCHED = Quantity("touched_bystanders")
@@ -166,7 +166,7 @@ def cost_table(results: Results, tasks: Sequence[StudyTask], amounts: CostAmount
         "one core while another job runs on the other. The task's own cost is tested in the "
         "scenes of its demonstrations.",
         headings=_HEADINGS,
-        texts={"_each_seed": _each_seed, "_touched": _each_seed, "learning_s": known_text},
+        texts={"_each_seed": _each_seed, "_touched": _each_seed, "learning_s": number_text},
         rows=[row(task, test) for task in tasks for test in (*tests_of(task, amounts), None)],
     )
 

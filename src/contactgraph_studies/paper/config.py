@@ -77,8 +77,6 @@ class StudyTask:
     """Whether the error is measured by number of training trajectories."""
     training_runs: int = 40
     """Those that models learn from; a quarter as many more choose the best step."""
-    training_options: Options = ()
-    """Options of ``train`` for every model."""
     only: tuple[StudyModel, ...] = ()
     """Models that are compared on this task; empty: all."""
     planned_options: Options = ()

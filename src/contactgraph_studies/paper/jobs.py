@@ -121,10 +121,9 @@ def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
             amounts.sample_sizes, (family.gim_temp, family.no_gim_aug)
         ):
             one = _TrainedModel(task, model, seed, runs, amounts)
-            for scenes in (task.as_trained, task.hardest):
-                # At 40 trajectories a job of the main table, found by its output and run once.
-                name = f"recorded-{scenes.slug}"
-                yield one.evaluate(Source.samples, scenes, name, training_runs=runs)
+            # At 40 trajectories a job of the main table, found by its output and run once.
+            name = f"recorded-{task.hardest.slug}"
+            yield one.evaluate(Source.samples, task.hardest, name, training_runs=runs)
 
 
 def _of_model(
@@ -179,7 +178,7 @@ class _TrainedModel:
         arguments = (
             *("train", data.output, "--out", output, "--seed", str(self.seed)),
             *("--held-out", "0.2", *model.options, *distance),
-            *(*task.training_options, *self.amounts.training_options),
+            *self.amounts.training_options,
         )
         group = f"train {task.name} {model.slug}"
         return Job(output, arguments, group, (data,), checkpoints="checkpoint-*.safetensors")
