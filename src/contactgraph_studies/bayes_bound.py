@@ -44,7 +44,7 @@ SUBSTEPS = 10
 """Of a step; after each of them a hold may begin or end."""
 SAMPLES = 12
 """Simulations of a window."""
-TOUCH = 1e-4
+_TOUCH = 1e-4
 """Distance of surfaces up to which bodies touch, m."""
 
 
@@ -57,7 +57,7 @@ def touches(trajectory: Trajectory) -> np.ndarray:
     if radius is None or trajectory.contact is None or trajectory.holding is None:
         raise InvalidInputError("the data must have radius, contact and holding, as collect writes")
     apart = np.linalg.norm(position - position[:, [GRIPPER]], axis=-1)
-    return np.asarray(apart < radius + radius[GRIPPER] + TOUCH)
+    return np.asarray(apart < radius + radius[GRIPPER] + _TOUCH)
 
 
 class Posterior:

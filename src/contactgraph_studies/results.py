@@ -182,9 +182,8 @@ class Results:
             of_condition = readings.setdefault(one.condition, [])
             path = folder / one.job.output
             if path.is_file():
-                values = json.loads(path.read_text())
-                found = one.seed, values, one.job.command, one.job.fingerprint
-                of_condition.append(Reading(*found))
+                values, job = json.loads(path.read_text()), one.job
+                of_condition.append(Reading(one.seed, values, job.command, job.fingerprint))
         return cls(readings)
 
     def readings(self, condition: Any) -> list[Reading]:

@@ -66,14 +66,10 @@ class Claim:
     findings: list[str] = field(default_factory=list)
     """The result on each task."""
 
-    def add(self, name: str, task: str, statistic: SeedStatistic) -> SeedStatistic:
-        """Record a number; returns it."""
-        self.metrics.append(ClaimMetric(name, task, statistic))
-        return statistic
-
-    def measure(self, name: str, condition: Any, quantity: Quantity) -> SeedStatistic:
-        """Record a measured number of the condition's task; returns it."""
-        return self.add(name, condition.task, self.results.statistic(condition, quantity))
+    def measure(self, name: str, condition: Any, quantity: Quantity) -> None:
+        """Record a measured number of the condition's task."""
+        statistic = self.results.statistic(condition, quantity)
+        self.metrics.append(ClaimMetric(name, condition.task, statistic))
 
     def estimated(self, name: str, task: str, found: Estimate) -> Estimate:
         """Record a number with its interval; returns it."""

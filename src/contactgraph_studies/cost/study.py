@@ -18,7 +18,6 @@ from contactgraph_studies.cost.config import (
     tests_of,
 )
 from contactgraph_studies.cost.jobs import (
-    CostLabels,
     control,
     cost_measurements,
     demonstrated,
@@ -42,11 +41,6 @@ _TOUCHED = Quantity("touched_bystanders")
 _SECONDS = Quantity("made", "s", derived=lambda values: float(values["made"]["seconds"]))
 _OMITTED = ("history", "in_words")
 """Fields of a cost file that are long, or the same in all."""
-_VERDICTS = {
-    True: "the paper's claim holds",
-    False: "the paper's claim does not hold",
-    None: "whether the paper's claim holds is not known",
-}
 
 
 @dataclass(frozen=True)
@@ -69,9 +63,9 @@ class CostStudy(Study):
         return StudyResult(
             title="A cost, learned from demonstrations",
             summary="A cost learned from an expert's runs through a differentiable LQR on "
-            f"the learned model: {_VERDICTS[claim.holds]}. {len(amounts.seeds)} seed(s) of "
-            f"demonstrations, each with one goal; {amounts.episodes} closed-loop episodes a seed, "
-            "with goals and objects that no demonstration had.",
+            f"the learned model. The paper's claim: {claim.verdict.value}. {len(amounts.seeds)} "
+            f"seed(s) of demonstrations, each with one goal; {amounts.episodes} closed-loop "
+            "episodes a seed, with goals and objects that no demonstration had.",
             claims=[claim],
             tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
             figures=cost_pictures(*shared),
@@ -182,20 +176,13 @@ def cost_pictures(
     amounts: CostAmounts,
 ) -> list[Picture]:
     """The learned cost of each task, written to ``figures/NAME.png`` in the folder."""
+    first_jobs = {one.condition: one.job for one in reversed(measurements)}
     pictures = []
     for task in tasks:
-        most = by_demonstrations(amounts)[-1].learned
-        path = _output(folder, measurements, learning(task, most))
-        if path is not None:
+        job = first_jobs[learning(task, by_demonstrations(amounts)[-1].learned)]
+        if (folder / job.output).is_file():
             title = f"The learned cost, {task.name}"
             caption = f"From {amounts.most} demonstrations with one goal, the first seed's."
-            figure = cost_figure(read_cost(path))
+            figure = cost_figure(read_cost(folder / job.output))
             pictures.append(write_figure(folder, f"cost-{task.name}", title, caption, figure))
     return pictures
-
-
-def _output(folder: Path, measurements: Sequence[Measurement], labels: CostLabels) -> Path | None:
-    """Of the first seed; None if it does not exist."""
-    paths = (folder / one.job.output for one in measurements if one.condition == labels)
-    path = next(paths, None)
-    return path if path is not None and path.is_file() else None

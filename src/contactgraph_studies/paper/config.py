@@ -46,8 +46,6 @@ class Family:
     no_gim_aug: StudyModel
     full_ab: StudyModel
     no_kl: StudyModel
-    variants: tuple[StudyModel, ...] = ()
-    """Of GIM-Temp, judged by no claim."""
 
     @property
     def compared(self) -> tuple[StudyModel, ...]:
@@ -57,7 +55,7 @@ class Family:
     @property
     def models(self) -> tuple[StudyModel, ...]:
         """All of them."""
-        return (*self.compared, self.full_ab, self.no_kl, *self.variants)
+        return (*self.compared, self.full_ab, self.no_kl)
 
 
 @dataclass(frozen=True)
@@ -179,9 +177,6 @@ def _family(
         model(
             temp, "GIM-Temp without KL", _COLOURS[5], "--prior-weight", "0", slug=f"{temp}-no-kl"
         ),
-        (model(temp, "GIM-Temp (star)", "#6d7278", "--graph", "star", slug=f"{temp}-star"),)
-        if own_form
-        else (),
     )
 
 
