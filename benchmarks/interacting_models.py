@@ -182,7 +182,7 @@ def main() -> None:
     def compared(trajectory: Trajectory) -> dict[str, Posterior]:
         return posteriors(trajectory) | {"IMM": InteractingModels(trajectory, chain)}
 
-    found = bayes_bound(dataset, posteriors=compared)
+    found = bayes_bound(dataset, compared=compared)
     if given.model is not None:
         found["errors_m"][given.model] = model_errors(given.model, dataset)
     write_json(given.json, {"data": str(given.data), **found})

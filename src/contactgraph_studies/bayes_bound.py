@@ -236,20 +236,20 @@ def bayes_bound(
     dataset: Dataset,
     every: int = EVERY,
     samples: int = SAMPLES,
-    posteriors: Callable[[Trajectory], Mapping[str, Posterior]] = posteriors,
+    compared: Callable[[Trajectory], Mapping[str, Posterior]] = posteriors,
 ) -> dict[str, Any]:
     """`moving_errors` of predictions of the windows of `forced_windows`, 0.5 s long.
 
     A prediction is a simulation of the likeliest hidden part, or the mean of ``samples``. Raises
-    `InvalidInputError` as `recorded_task`, `branches` and ``posteriors``.
+    `InvalidInputError` as `recorded_task`, `branches` and ``compared``.
     """
     steps = horizon_steps(dataset, None)
     windows: list[dict[str, float]] = []
     for index, trajectory in enumerate(dataset):
-        compared, task = posteriors(trajectory), recorded_task(dataset, trajectory)
+        beliefs, task = compared(trajectory), recorded_task(dataset, trajectory)
         for branch in branches(task, trajectory, steps, controls_of(index), every):
             rng = np.random.default_rng([1, index, branch.start])
-            windows.append({"episode": index} | _errors(branch, compared, steps, samples, rng))
+            windows.append({"episode": index} | _errors(branch, beliefs, steps, samples, rng))
     columns = {name: np.array([each[name] for each in windows]) for name in windows[0]}
     episode, bodies = columns.pop("episode"), columns.pop("bodies")
     return {
@@ -261,15 +261,14 @@ def bayes_bound(
 
 def _errors(
     branch: Branch,
-    compared: Mapping[str, Posterior],
+    beliefs: Mapping[str, Posterior],
     steps: int,
     samples: int,
     rng: np.random.Generator,
 ) -> dict[str, float]:
-    """Of a window: the bodies that move, and by prediction the sum of their mean squared errors,
-    m^2.
+    """Of a window: the bodies that move, and the sums over them of mean squared errors, m^2.
 
-    That of a mean is without what the number of samples adds, the variance of their mean.
+    That of a mean of samples is without what their number adds, the variance of their mean.
     """
 
     def simulated(posterior: Posterior | None, rng: np.random.Generator | None) -> np.ndarray:
@@ -285,7 +284,7 @@ def _errors(
         return max(float(squared[1:].sum(axis=-1).mean(axis=0) @ moves), 0.0)
 
     found = {"bodies": float(moves.sum())}
-    for name, posterior in compared.items():
+    for name, posterior in beliefs.items():
         found[name] = summed((simulated(posterior, None) - true) ** 2)
         if posterior.draws:
             drawn = np.stack([simulated(posterior, rng) for _ in range(samples)])

@@ -192,7 +192,8 @@ class Results:
 
     def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
         """Of the readings that have the quantity's key."""
-        values = tuple(value for _, value in self._known(condition, quantity))
+        read = (quantity.read(one.values) for one in self._with(condition, quantity))
+        values = tuple(value for value in read if not math.isnan(value))
         return SeedStatistic(values, self.command(condition, quantity), quantity.unit)
 
     def sample(self, condition: Any, quantity: Quantity) -> Sample:
@@ -221,10 +222,6 @@ class Results:
 
     def _with(self, condition: Any, quantity: Quantity) -> list[Reading]:
         return [one for one in self.readings(condition) if quantity.key in one.values]
-
-    def _known(self, condition: Any, quantity: Quantity) -> list[tuple[Reading, float]]:
-        read = [(one, quantity.read(one.values)) for one in self._with(condition, quantity)]
-        return [(one, value) for one, value in read if not math.isnan(value)]
 
     def success(self, condition: Any) -> Success | None:
         """Of closed-loop readings; None without any."""

@@ -59,7 +59,7 @@ class CostStudy(Study):
         """The claim, tables and figures."""
         results, amounts = Results.read(folder, self.measurements), self.amounts
         claim = transfers(results, self.tasks, amounts)
-        shared = (folder, self.measurements, self.tasks, amounts)
+        answers = known_answer_table(folder, self.measurements, self.tasks, amounts)
         return StudyResult(
             title="A cost, learned from demonstrations",
             summary="A cost learned from an expert's runs through a differentiable LQR on "
@@ -67,8 +67,8 @@ class CostStudy(Study):
             f"seed(s) of demonstrations, each with one goal; {amounts.episodes} closed-loop "
             "episodes a seed, with goals and objects that no demonstration had.",
             claims=[claim],
-            tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
-            figures=cost_pictures(*shared),
+            tables=[cost_table(results, self.tasks, amounts), answers],
+            figures=cost_pictures(folder, self.measurements, self.tasks, amounts),
             amounts={
                 "demonstration_seeds": list(amounts.seeds),
                 "demonstrations": list(amounts.demonstrations),
