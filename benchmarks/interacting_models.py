@@ -27,7 +27,7 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import fractional_matrix_power
 
 from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
-from contactgraph.cli.output import write_json
+from contactgraph.cli.output import check_writable, write_json
 from contactgraph.cli.tasks import recorded_task
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, read_trajectories
 from contactgraph.envs.gripper_task import GRIPPER
@@ -174,6 +174,7 @@ def main() -> None:
     parser.add_argument("--model")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
+    check_writable(given.json)
     dataset, chain = (
         read_trajectories(given.data),
         ModeChain.counted(read_trajectories(given.train)),
@@ -182,9 +183,9 @@ def main() -> None:
     def compared(trajectory: Trajectory) -> dict[str, Posterior]:
         return posteriors(trajectory) | {"IMM": InteractingModels(trajectory, chain)}
 
+    trained = {} if given.model is None else {given.model: model_errors(given.model, dataset)}
     found = bayes_bound(dataset, compared=compared)
-    if given.model is not None:
-        found["errors_m"][given.model] = model_errors(given.model, dataset)
+    found["errors_m"] |= trained
     write_json(given.json, {"data": str(given.data), **found})
     print(f"{given.data}: {found['windows']} windows of {found['episodes']} episodes")
     print(error_table(found["errors_m"]).markdown())

@@ -1,12 +1,22 @@
+import subprocess
+import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
-from contactgraph.envs import CarryExpert, DelayTask, PickupExpert, PickupTask
+from contactgraph.envs import (
+    CarryExpert,
+    DelayTask,
+    PickupExpert,
+    PickupTask,
+    SuctionExpert,
+    SuctionTask,
+)
 from contactgraph.evaluate import run_episode
-from contactgraph_studies.bayes_bound import Holders, HoldTime, Switch, bayes_bound
+from contactgraph_studies.bayes_bound import Holders, HoldTime, Switch, bayes_bound, touches
 
 DT = 0.05
 
@@ -118,3 +128,27 @@ def test_nothing_is_hidden_in_delay():
     visible = Dataset((run_episode(PickupTask(), PickupExpert(), 3),))
     with pytest.raises(InvalidInputError, match=r"suction --hidden-switch, .* found pickup"):
         bayes_bound(visible)
+
+
+@pytest.mark.parametrize(("name", "said"), [("nowhere.h5", "does not exist"), ("text.h5", "HDF5")])
+def test_a_wrong_file_is_one_line(tmp_path, name, said):
+    (tmp_path / "text.h5").write_text("no data")
+    command = [sys.executable, "-m", "contactgraph_studies.bayes_bound", str(tmp_path / name)]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert ended.returncode == 2 and said in ended.stderr
+    assert ended.stderr.startswith("bayes_bound: ") and ended.stderr.count("\n") == 1
+
+
+def test_data_without_what_the_tasks_record():
+    bare = replace(run(9), contact=None, holding=None)
+    with pytest.raises(InvalidInputError, match="must have radius, contact and holding"):
+        touches(bare)
+    switched = Dataset((run_episode(SuctionTask(), SuctionExpert(), 3),))
+    with pytest.raises(InvalidInputError, match="suction --hidden-switch"):
+        bayes_bound(switched)
+
+
+def test_touch_is_by_the_surfaces():
+    assert touches(run(2, bodies=2)).all()
+    far = run(2)
+    assert not touches(replace(far, position=1.01 * far.position))[:, 1].any()
