@@ -175,10 +175,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     check_writable(given.json)
-    dataset, chain = (
-        read_trajectories(given.data),
-        ModeChain.counted(read_trajectories(given.train)),
-    )
+    dataset = read_trajectories(given.data)
+    chain = ModeChain.counted(read_trajectories(given.train))
 
     def compared(trajectory: Trajectory) -> dict[str, Posterior]:
         return posteriors(trajectory) | {"IMM": InteractingModels(trajectory, chain)}
