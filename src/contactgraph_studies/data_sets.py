@@ -158,14 +158,13 @@ class ResultCondition:
 
 def result_measurements(sets: Sequence[DataSet], amounts: Amounts) -> list[Measurement]:
     """Data set by data set, so that a partial study has whole rows."""
-    return [one for data in sets for one in _of_data(data, amounts)]
-
-
-def _of_data(data: DataSet, amounts: Amounts) -> Iterator[Measurement]:
-    for seed in amounts.seeds:
-        yield from _of(data, seed, amounts)
-    if amounts.baselines:
-        yield from _scripts(data, amounts)
+    found: list[Measurement] = []
+    for data in sets:
+        for seed in amounts.seeds:
+            found += _of(data, seed, amounts)
+        if amounts.baselines:
+            found += _scripts(data, amounts)
+    return found
 
 
 def _scripts(data: DataSet, amounts: Amounts) -> Iterator[Measurement]:

@@ -56,10 +56,12 @@ class Reproduce:
         """Run the study."""
         from contactgraph.cli.options import check_range
         from contactgraph.data import InvalidInputError
+        from contactgraph_studies.gate import read_gate
         from contactgraph_studies.outputs import publish, write_study
         from contactgraph_studies.runner import run_reported
 
-        study, before = self._study(), self._before()
+        study = self._study()
+        before = None if self.against is None else read_gate(self.against)
         folder = self.out or self._folder()
         if folder.exists() and not folder.is_dir():
             raise InvalidInputError(f"--out: {folder} must be a folder, found a file")
@@ -97,6 +99,8 @@ class Reproduce:
 
         if self.quick and self.gate:
             raise InvalidInputError("--gate: not with --quick, whose numbers are worth nothing")
+        if self.against is not None and not self.gate:
+            raise InvalidInputError("--against: only with --gate")
         study = choice("study", self.study, _studies(self.quick, self.gate))
         if not isinstance(study, ResultsStudy):
             given = {"--only": self.only, "--seeds": self.seeds, "--gate": self.gate or None}
@@ -110,16 +114,6 @@ class Reproduce:
             check_range("--seeds", self.seeds, 1, 100)
             study = replace(study, amounts=replace(study.amounts, seeds=tuple(range(self.seeds))))
         return study if self.only is None else study.restricted(self.only)
-
-    def _before(self) -> "dict[str, Any] | None":
-        from contactgraph.data import InvalidInputError
-        from contactgraph_studies.gate import read_gate
-
-        if self.against is None:
-            return None
-        if not self.gate:
-            raise InvalidInputError("--against: only with --gate")
-        return read_gate(self.against)
 
     def _folder(self) -> Path:
         if self.gate:

@@ -182,9 +182,8 @@ class Results:
             of_condition = readings.setdefault(one.condition, [])
             path = folder / one.job.output
             if path.is_file():
-                values = json.loads(path.read_text())
-                found = one.seed, values, one.job.command, one.job.fingerprint
-                of_condition.append(Reading(*found))
+                values, job = json.loads(path.read_text()), one.job
+                of_condition.append(Reading(one.seed, values, job.command, job.fingerprint))
         return cls(readings)
 
     def readings(self, condition: Any) -> list[Reading]:
@@ -193,7 +192,8 @@ class Results:
 
     def statistic(self, condition: Any, quantity: Quantity) -> SeedStatistic:
         """Of the readings that have the quantity's key."""
-        values = tuple(value for _, value in self._known(condition, quantity))
+        read = (quantity.read(one.values) for one in self._with(condition, quantity))
+        values = tuple(value for value in read if not math.isnan(value))
         return SeedStatistic(values, self.command(condition, quantity), quantity.unit)
 
     def sample(self, condition: Any, quantity: Quantity) -> Sample:
@@ -222,10 +222,6 @@ class Results:
 
     def _with(self, condition: Any, quantity: Quantity) -> list[Reading]:
         return [one for one in self.readings(condition) if quantity.key in one.values]
-
-    def _known(self, condition: Any, quantity: Quantity) -> list[tuple[Reading, float]]:
-        read = [(one, quantity.read(one.values)) for one in self._with(condition, quantity)]
-        return [(one, value) for one, value in read if not math.isnan(value)]
 
     def success(self, condition: Any) -> Success | None:
         """Of closed-loop readings; None without any."""
@@ -259,9 +255,9 @@ class Results:
         ]
 
 
-def with_range(statistic: SeedStatistic, unit: str = "") -> str:
+def with_range(statistic: SeedStatistic) -> str:
     """The median, and the range of several seeds."""
-    median = with_unit(statistic.median, unit)
+    median = short(statistic.median)
     if len(statistic.values) < 2:
         return median
     return f"{median} ({short(statistic.low)} to {short(statistic.high)})"
@@ -272,10 +268,3 @@ def smallest(medians: Mapping[str, float]) -> frozenset[str]:
     shown = {name: short(value) for name, value in medians.items() if math.isfinite(value)}
     least = min(shown.values(), key=float, default="")
     return frozenset(name for name, text in shown.items() if text == least)
-
-
-def joined(parts: Sequence[str]) -> str:
-    """``a, b and c``."""
-    if len(parts) < 2:
-        return "".join(parts)
-    return f"{', '.join(parts[:-1])} and {parts[-1]}"

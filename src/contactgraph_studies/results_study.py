@@ -29,7 +29,6 @@ from contactgraph_studies.results import (
     Results,
     SeedStatistic,
     Values,
-    joined,
     moving_error,
     smallest,
 )
@@ -306,5 +305,5 @@ def results_table(rows: Sequence[ResultRow]) -> StudyTable:
         headings=_HEADINGS,
         texts=dict.fromkeys((*QUANTITIES, "_prior"), number_text),
         rows=[_cells(row) for row in rows],
-        notes=[f"{row}: {joined(what)}: {reason}" for (row, reason), what in reasons.items()],
+        notes=[f"{row}: {', '.join(what)}: {reason}" for (row, reason), what in reasons.items()],
     )

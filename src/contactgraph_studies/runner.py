@@ -106,8 +106,7 @@ def run_reported(
             estimate = "" if left is None else f"about {max(1, round(left / 60))} min left; "
             bar.advance(now.done, f"{estimate}{now.last.group}")
 
-        given = jobs, records, executor, create_worker, on_progress
-        failures = run_jobs(*given, seconds)
+        failures = run_jobs(jobs, records, executor, create_worker, on_progress, seconds)
     for failure in failures:
         if not failure.started:
             report(failure)

@@ -7,6 +7,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from matplotlib.figure import Figure
+
+from contactgraph.data import atomic_write
 from contactgraph.evaluate import number_or_word
 from contactgraph_studies.bootstrap import Estimate, Verdict, all_hold
 from contactgraph_studies.job import Job, Measurement, in_dependency_order
@@ -22,6 +25,15 @@ class Picture:
     caption: str
     path: str
     """Of a PNG file, relative to the study's folder."""
+
+
+def write_figure(folder: Path, name: str, title: str, caption: str, figure: Figure) -> Picture:
+    """Write ``figures/NAME.png``."""
+    picture = Picture(title, caption, f"figures/{name}.png")
+    (folder / picture.path).parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(folder / picture.path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
+    return picture
 
 
 class ClaimMetric(NamedTuple):
@@ -54,14 +66,10 @@ class Claim:
     findings: list[str] = field(default_factory=list)
     """The result on each task."""
 
-    def add(self, name: str, task: str, statistic: SeedStatistic) -> SeedStatistic:
-        """Record a number; returns it."""
-        self.metrics.append(ClaimMetric(name, task, statistic))
-        return statistic
-
-    def measure(self, name: str, condition: Any, quantity: Quantity) -> SeedStatistic:
-        """Record a measured number of the condition's task; returns it."""
-        return self.add(name, condition.task, self.results.statistic(condition, quantity))
+    def measure(self, name: str, condition: Any, quantity: Quantity) -> None:
+        """Record a measured number of the condition's task."""
+        statistic = self.results.statistic(condition, quantity)
+        self.metrics.append(ClaimMetric(name, condition.task, statistic))
 
     def estimated(self, name: str, task: str, found: Estimate) -> Estimate:
         """Record a number with its interval; returns it."""

@@ -18,11 +18,6 @@ def cell_text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def known_text(value: SeedStatistic) -> str:
-    """Median with range; nothing if no value is known."""
-    return with_range(value) if value.known else ""
-
-
 DASH = "-"
 
 
@@ -85,12 +80,11 @@ def _markdown_row(cells: Iterable[str]) -> str:
 def counts(success: Success | None, suffix: str = "") -> dict[str, int | str | None]:
     """Successes and episodes of `Success.trials`, and each seed's rate, as columns of
     ``table.csv``."""
-    values: list[int | str | None] = [None, None, None]
-    if success is not None:
-        each = " ".join(short(percent) for percent in success.each_percent)
-        values = [*success.trials, each]
-    names = ("successes", "episodes", "percent_of_each_seed")
-    return {f"{name}{suffix}": value for name, value in zip(names, values, strict=True)}
+    names = [f"{name}{suffix}" for name in ("successes", "episodes", "percent_of_each_seed")]
+    if success is None:
+        return dict.fromkeys(names)
+    each = " ".join(short(percent) for percent in success.each_percent)
+    return dict(zip(names, (*success.trials, each), strict=True))
 
 
 def _csv_cells(row: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -154,10 +154,7 @@ def test_files_of_the_study_of_costs(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert {job["values"]["made"]["seconds"] for job in made} == {12.5}
     assert all("history" not in job["values"] and job["values"]["Q"] for job in made)
     figures = {path.name for path in (folder / "figures").iterdir()}
-    assert figures == {
-        *("success.png", "cost-pickup.png"),
-        *("known-own-cost-pickup.png", "known-learned-cost-pickup.png"),
-    }
+    assert figures == {"cost-pickup.png"}
     report = (folder / "report.md").read_text()
     assert "## A known answer" in report
     assert all(f"](figures/{name})" in report for name in figures)

@@ -241,7 +241,7 @@ def test_a_failed_job_leaves_its_row_with_a_reason(
     assert "contactgraph: it cannot be" in capsys.readouterr().err
     text = (fake / "build" / "quick" / "results" / "table.md").read_text()
     assert "| billiards --passive | **0.2** |" in text
-    lost = "pickup: model 0, baselines and mpc 0: not finished: contactgraph train pickup/train.h5"
+    lost = "pickup: model 0, baselines, mpc 0: not finished: contactgraph train pickup/train.h5"
     assert lost in text and "(contactgraph: it cannot be)" in text
 
 

@@ -18,8 +18,6 @@ class Demonstrator:
     planned: bool = False
     """MPC, with another goal in every demonstration; else the task's expert, always with the same
     goal and objects."""
-    hidden: "CostCondition | None" = None
-    """Learning of the cost of MPC; None: the task's own cost."""
 
 
 @dataclass(frozen=True)
@@ -90,16 +88,9 @@ def among_distractors(amounts: CostAmounts) -> list[CostTest]:
     return [CostTest(_learned(one, amounts.most), DISTRACTORS) for one in (EXPERT, EXPERT_AMONG)]
 
 
-def known_answers(amounts: CostAmounts) -> tuple[CostCondition, CostCondition]:
-    """Learned from MPC with a known cost: the task's own cost, and a learned one.
-
-    The task's own cost often asks for more force than the limit, and a saturated force does not
-    show the cost; a cost learned from an expert hardly ever does.
-    """
-    hidden = _learned(EXPERT, amounts.most)
-    name = "MPC with the cost learned from the expert"
-    again = Demonstrator("learned-cost", name, planned=True, hidden=hidden)
-    return _learned(OWN_COST, amounts.most), _learned(again, amounts.most)
+def known_answer(amounts: CostAmounts) -> CostCondition:
+    """Learned from MPC with the task's own cost."""
+    return _learned(OWN_COST, amounts.most)
 
 
 def without_prior(amounts: CostAmounts) -> CostTest:
@@ -117,7 +108,7 @@ def without_contacts(amounts: CostAmounts) -> CostTest:
 
 def tests_of(task: StudyTask, amounts: CostAmounts) -> list[CostTest]:
     """All tests of a task, in the order of the table."""
-    own = CostTest(known_answers(amounts)[0])
+    own = CostTest(known_answer(amounts))
     every = [*by_demonstrations(amounts), *among_distractors(amounts), own]
     every.append(without_contacts(amounts))
     return [*every, without_prior(amounts)] if task is PICKUP else every
@@ -125,8 +116,7 @@ def tests_of(task: StudyTask, amounts: CostAmounts) -> list[CostTest]:
 
 def learned_costs(task: StudyTask, amounts: CostAmounts) -> list[CostCondition]:
     """All costs that are learned for a task."""
-    tested = [test.learned for test in tests_of(task, amounts)]
-    return list(dict.fromkeys([*tested, *known_answers(amounts)]))
+    return list(dict.fromkeys(test.learned for test in tests_of(task, amounts)))
 
 
 def _learned(demonstrator: Demonstrator, count: int) -> CostCondition:

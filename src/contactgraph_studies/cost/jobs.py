@@ -66,15 +66,9 @@ def _demonstration_job(
         arguments = ("collect", task.name, *expert, *counts, *scenes, "--out", output)
         return Job(output, arguments, f"collect {task.name}")
     output, trajectories = f"{path}.json", f"{path}.h5"
-    needs: tuple[Job, ...] = ()
-    cost: Options = ()
-    if demonstrator.hidden is not None:
-        needs = (_learning_job(task, demonstrator.hidden, seed, amounts),)
-        # The answer is known only for a horizon as long as the learner's.
-        cost = ("--cost", needs[0].output, "--horizon", str(config.LOOK_AHEAD))
     files = ("--json", output, "--save", trajectories)
-    arguments = ("control", task.name, task.name, *cost, *counts, *scenes, *files)
-    return Job(output, arguments, f"control {task.name}", needs, (trajectories,))
+    arguments = ("control", task.name, task.name, *counts, *scenes, *files)
+    return Job(output, arguments, f"control {task.name}", extra_outputs=(trajectories,))
 
 
 def _learning_job(task: StudyTask, learned: CostCondition, seed: int, amounts: CostAmounts) -> Job:

@@ -12,7 +12,7 @@ import numpy as np
 from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.evaluate import TaskCost
-from contactgraph_studies.cost.config import CostAmounts, CostCondition, known_answers
+from contactgraph_studies.cost.config import CostAmounts, CostCondition, known_answer
 from contactgraph_studies.cost.jobs import learning
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.config import StudyTask
@@ -23,10 +23,8 @@ _AT_LIMIT = 0.999
 
 
 class KnownAnswer(NamedTuple):
-    """The two costs of one seed."""
+    """What one seed's runs of a controller with a known cost tell of it."""
 
-    hidden: LearnedCost
-    """Of the controller."""
     learned: LearnedCost
     at_limit: float
     """Fraction of steps with a saturated force; NaN if the trajectories are missing."""
@@ -56,43 +54,35 @@ def own_cost(task: StudyTask) -> LearnedCost:
 def read_answers(
     folder: Path, measurements: Sequence[Measurement], task: StudyTask, learned: CostCondition
 ) -> list[KnownAnswer]:
-    """The pairs of costs in the folder that are about the same nodes."""
-    answers = []
+    """Those whose files are in the folder and about the nodes of the task's own cost."""
+    answers, nodes = [], sorted(own_cost(task).kept_nodes)
     for one in measurements:
         path = folder / one.job.output
-        if one.condition != learning(task, learned) or not path.is_file():
-            continue
-        cost, demonstrations = read_cost(path), one.job.needs[0]
-        hidden_by = demonstrations.needs
-        hidden = read_cost(folder / hidden_by[0].output) if hidden_by else own_cost(task)
-        if sorted(hidden.kept_nodes) == sorted(cost.kept_nodes):
-            at_limit = _at_limit(task, (folder / demonstrations.output).with_suffix(".h5"))
-            answers.append(KnownAnswer(hidden, cost, at_limit))
+        if one.condition == learning(task, learned) and path.is_file():
+            cost, demonstrations = read_cost(path), folder / one.job.needs[0].output
+            if sorted(cost.kept_nodes) == nodes:
+                at_limit = _at_limit(task, demonstrations.with_suffix(".h5"))
+                answers.append(KnownAnswer(cost, at_limit))
     return answers
 
 
-def known_answer_terms(answers: Sequence[KnownAnswer]) -> list[dict[str, Any]]:
+def known_answer_terms(hidden: LearnedCost, answers: Sequence[KnownAnswer]) -> list[dict[str, Any]]:
     """The terms of the hidden cost, each as the force, N, that costs as much as being off by one
     unit of position or velocity."""
-    if not answers:
-        return []
-    order = answers[0].hidden.kept_nodes
-    hidden = [cost_terms(_reordered(each.hidden, order)) for each in answers]
-    learned = [cost_terms(_reordered(each.learned, order)) for each in answers]
+    learned = [cost_terms(_reordered(each.learned, hidden.kept_nodes)) for each in answers]
     at_limit = SeedStatistic(tuple(100.0 * each.at_limit for each in answers))
     rows = []
-    for index, term in enumerate(hidden[0]):
+    for index, term in enumerate(cost_terms(hidden) if answers else ()):
         for unit, part in (("1 m", "position"), ("1 m/s", "velocity")):
-            of_hidden = tuple(getattr(terms[index], part) for terms in hidden)
-            of_learned = tuple(getattr(terms[index], part) for terms in learned)
-            ratios = tuple(one / other for one, other in zip(of_learned, of_hidden, strict=True))
+            known = getattr(term, part)
+            found = tuple(getattr(terms[index], part) for terms in learned)
             rows.append(
                 {
                     "Term": term.name,
                     "Off by": unit,
-                    "hidden, N": SeedStatistic(of_hidden),
-                    "learned, N": SeedStatistic(of_learned),
-                    "learned over hidden": SeedStatistic(ratios),
+                    "hidden, N": SeedStatistic((known,)),
+                    "learned, N": SeedStatistic(found),
+                    "learned over hidden": SeedStatistic(tuple(each / known for each in found)),
                     "steps with a saturated force, %": at_limit,
                 }
             )
@@ -106,6 +96,7 @@ def known_answer_table(
     amounts: CostAmounts,
 ) -> StudyTable:
     """Hidden and learned costs, term by term."""
+    learned = known_answer(amounts)
     names = (
         *("Task", "Demonstrated by", "Term", "Off by", "hidden, N", "learned, N"),
         *("learned over hidden", "steps with a saturated force, %"),
@@ -120,8 +111,9 @@ def known_answer_table(
         rows=[
             {"Task": task.name, "Demonstrated by": learned.name, **terms}
             for task in tasks
-            for learned in known_answers(amounts)
-            for terms in known_answer_terms(read_answers(folder, measurements, task, learned))
+            for terms in known_answer_terms(
+                own_cost(task), read_answers(folder, measurements, task, learned)
+            )
         ],
     )
 

@@ -6,32 +6,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure
-
 from contactgraph.control import read_cost
 from contactgraph.viz import cost_figure
-from contactgraph.viz.figures import LEGEND, TEXT
 from contactgraph.viz.metric_table import short
-from contactgraph.viz.scene_picture import BODY_COLOURS, SOFT
 from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.cost.config import (
     SCENE_SEED,
     CostAmounts,
     CostTest,
     by_demonstrations,
-    known_answers,
     tests_of,
 )
 from contactgraph_studies.cost.jobs import (
-    CostLabels,
     control,
     cost_measurements,
     demonstrated,
     learning,
 )
-from contactgraph_studies.cost.known_answer import known_answer_table, read_answers
-from contactgraph_studies.figures import panel_row, write_figure
+from contactgraph_studies.cost.known_answer import known_answer_table
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper.config import PICKUP, StudyTask
 from contactgraph_studies.results import (
@@ -41,19 +33,14 @@ from contactgraph_studies.results import (
     Results,
     SeedStatistic,
 )
-from contactgraph_studies.study import Claim, Picture, Study, StudyResult
-from contactgraph_studies.tables import StudyTable, counts, known_text
+from contactgraph_studies.study import Claim, Picture, Study, StudyResult, write_figure
+from contactgraph_studies.tables import StudyTable, counts, number_text
 
 _PAPER = 0.98
 _TOUCHED = Quantity("touched_bystanders")
 _SECONDS = Quantity("made", "s", derived=lambda values: float(values["made"]["seconds"]))
 _OMITTED = ("history", "in_words")
 """Fields of a cost file that are long, or the same in all."""
-_VERDICTS = {
-    True: "the paper's claim holds",
-    False: "the paper's claim does not hold",
-    None: "whether the paper's claim holds is not known",
-}
 
 
 @dataclass(frozen=True)
@@ -72,16 +59,16 @@ class CostStudy(Study):
         """The claim, tables and figures."""
         results, amounts = Results.read(folder, self.measurements), self.amounts
         claim = transfers(results, self.tasks, amounts)
-        shared = (folder, self.measurements, self.tasks, amounts)
+        answers = known_answer_table(folder, self.measurements, self.tasks, amounts)
         return StudyResult(
             title="A cost, learned from demonstrations",
             summary="A cost learned from an expert's runs through a differentiable LQR on "
-            f"the learned model: {_VERDICTS[claim.holds]}. {len(amounts.seeds)} seed(s) of "
-            f"demonstrations, each with one goal; {amounts.episodes} closed-loop episodes a seed, "
-            "with goals and objects that no demonstration had.",
+            f"the learned model. The paper's claim: {claim.verdict.value}. {len(amounts.seeds)} "
+            f"seed(s) of demonstrations, each with one goal; {amounts.episodes} closed-loop "
+            "episodes a seed, with goals and objects that no demonstration had.",
             claims=[claim],
-            tables=[cost_table(results, self.tasks, amounts), known_answer_table(*shared)],
-            figures=cost_pictures(results, *shared),
+            tables=[cost_table(results, self.tasks, amounts), answers],
+            figures=cost_pictures(folder, self.measurements, self.tasks, amounts),
             amounts={
                 "demonstration_seeds": list(amounts.seeds),
                 "demonstrations": list(amounts.demonstrations),
@@ -173,7 +160,7 @@ def cost_table(results: Results, tasks: Sequence[StudyTask], amounts: CostAmount
         "one core while another job runs on the other. The task's own cost is tested in the "
         "scenes of its demonstrations.",
         headings=_HEADINGS,
-        texts={"_each_seed": _each_seed, "_touched": _each_seed, "learning_s": known_text},
+        texts={"_each_seed": _each_seed, "_touched": _each_seed, "learning_s": number_text},
         rows=[row(task, test) for task in tasks for test in (*tests_of(task, amounts), None)],
     )
 
@@ -182,68 +169,20 @@ def _each_seed(statistic: SeedStatistic) -> str:
     return ", ".join(short(value) for value in statistic.values)
 
 
-def success_figure(results: Results, tasks: Sequence[StudyTask], amounts: CostAmounts) -> Figure:
-    """Success by number of demonstrations: all seeds with their interval, and each as a dot."""
-    figure, panels = panel_row(tasks, 3.6, 0.6, 3.8)
-    counts = amounts.demonstrations
-    for axes, task in zip(panels, tasks, strict=True):
-        pooled, seeds = [], []
-        for position, test in enumerate(by_demonstrations(amounts)):
-            labels = control(task, test)
-            success = results.success(labels)
-            if success is not None:
-                pooled.append([position, success.rate, *success.interval])
-                each = results.statistic(labels, SUCCESS_PERCENT).values
-                seeds += [(position + 0.1, percent) for percent in each]
-        x, rate, low, high = np.reshape(pooled, (-1, 4)).T * [[1.0], [100.0], [100.0], [100.0]]
-        line: dict[str, Any] = {"color": BODY_COLOURS[0], "lw": 1.6, "ms": 5}
-        ends = np.abs([rate - low, high - rate])
-        axes.errorbar(x, rate, ends, fmt="o-", label="all seeds, 95 % interval", **line)
-        dots = np.reshape(seeds, (-1, 2)).T
-        axes.plot(*dots, "o", color=SOFT, ms=3, alpha=0.7, label="each seed")
-        axes.set_xticks(range(len(counts)), [str(count) for count in counts])
-        axes.set_xlim(-0.5, len(counts) - 0.5)
-        axes.set_xlabel("demonstrations", **TEXT)
-    panels[0].set_ylabel("success, %", **TEXT)
-    panels[-1].legend(**LEGEND, loc="lower right")
-    return figure
-
-
 def cost_pictures(
-    results: Results,
     folder: Path,
     measurements: Sequence[Measurement],
     tasks: Sequence[StudyTask],
     amounts: CostAmounts,
 ) -> list[Picture]:
-    """The figures, written to ``figures/NAME.png`` in the folder."""
-    title = "Success with unseen goals and objects"
-    caption = "By the number of demonstrations that the cost was learned from."
-    figure = success_figure(results, tasks, amounts)
-    pictures = [write_figure(folder, "success", title, caption, figure)]
+    """The learned cost of each task, written to ``figures/NAME.png`` in the folder."""
+    first_jobs = {one.condition: one.job for one in reversed(measurements)}
+    pictures = []
     for task in tasks:
-        most = by_demonstrations(amounts)[-1].learned
-        path = _output(folder, measurements, learning(task, most))
-        if path is not None:
+        job = first_jobs[learning(task, by_demonstrations(amounts)[-1].learned)]
+        if (folder / job.output).is_file():
             title = f"The learned cost, {task.name}"
             caption = f"From {amounts.most} demonstrations with one goal, the first seed's."
-            figure = cost_figure(read_cost(path))
+            figure = cost_figure(read_cost(folder / job.output))
             pictures.append(write_figure(folder, f"cost-{task.name}", title, caption, figure))
-        for learned in known_answers(amounts):
-            for answer in read_answers(folder, measurements, task, learned)[:1]:
-                figure = cost_figure(answer.learned, answer.hidden)
-                name = f"known-{learned.demonstrator.slug}-{task.name}"
-                caption = (
-                    f"Learned from {learned.demonstrations} runs of {learned.name}, the first "
-                    "seed's; below it that cost."
-                )
-                title = f"A known answer, {task.name}"
-                pictures.append(write_figure(folder, name, title, caption, figure))
     return pictures
-
-
-def _output(folder: Path, measurements: Sequence[Measurement], labels: CostLabels) -> Path | None:
-    """Of the first seed; None if it does not exist."""
-    paths = (folder / one.job.output for one in measurements if one.condition == labels)
-    path = next(paths, None)
-    return path if path is not None and path.is_file() else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
 from contactgraph.cli.task_types import KnownTask, TestCondition
 from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
-from contactgraph_studies.job import Options, Variant
+from contactgraph_studies.job import Options
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,6 @@ class Family:
     no_gim_aug: StudyModel
     full_ab: StudyModel
     no_kl: StudyModel
-    variants: tuple[StudyModel, ...] = ()
-    """Of GIM-Temp, judged by no claim."""
 
     @property
     def compared(self) -> tuple[StudyModel, ...]:
@@ -57,7 +55,7 @@ class Family:
     @property
     def models(self) -> tuple[StudyModel, ...]:
         """All of them."""
-        return (*self.compared, self.full_ab, self.no_kl, *self.variants)
+        return (*self.compared, self.full_ab, self.no_kl)
 
 
 @dataclass(frozen=True)
@@ -77,8 +75,6 @@ class StudyTask:
     """Whether the error is measured by number of training trajectories."""
     training_runs: int = 40
     """Those that models learn from; a quarter as many more choose the best step."""
-    training_options: Options = ()
-    """Options of ``train`` for every model."""
     only: tuple[StudyModel, ...] = ()
     """Models that are compared on this task; empty: all."""
     planned_options: Options = ()
@@ -181,9 +177,6 @@ def _family(
         model(
             temp, "GIM-Temp without KL", _COLOURS[5], "--prior-weight", "0", slug=f"{temp}-no-kl"
         ),
-        (model(temp, "GIM-Temp (star)", "#6d7278", "--graph", "star", slug=f"{temp}-star"),)
-        if own_form
-        else (),
     )
 
 
@@ -238,17 +231,6 @@ FRANKA = StudyTask(
 TASKS = (PICKUP, MULTI_PICKUP, DOOR)
 """The planar tasks, of which the study of all consists."""
 EVERY_TASK = (*TASKS, FRANKA)
-
-_RATES = {1: "0.01", 5: "0.05", 20: "0.2"}
-FAULTS = (
-    *(
-        Variant(f"{kind}-{percent}", f"{percent} % {name}", (f"--{kind}", rate))
-        for kind, name in (("false-alarms", "false alarms"), ("misses", "misses"))
-        for percent, rate in _RATES.items()
-    ),
-    Variant("delay-1", "one step late", ("--delay", "1")),
-    Variant("delay-2", "two steps late", ("--delay", "2")),
-)
 
 FULL = Amounts(
     seeds=(0, 1, 2),

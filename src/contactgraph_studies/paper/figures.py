@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from contactgraph.data import read_trajectories
+from contactgraph.model.io import load_model
+from contactgraph.viz import scene_trajectory
 from contactgraph.viz.figures import LEGEND, TEXT, new_figure, parameter_figure
 from contactgraph.viz.scene_picture import INK, SOFT
 from contactgraph.viz.summary_figure import style_axes
-from contactgraph_studies import figures
 from contactgraph_studies.bootstrap import estimate
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
-    FAULTS,
     Amounts,
     Family,
     StudyModel,
@@ -27,18 +27,15 @@ from contactgraph_studies.paper.config import (
     families_of,
 )
 from contactgraph_studies.paper.jobs import (
-    Source,
     closed_error,
     open_error,
     planned,
-    recorded,
 )
-from contactgraph_studies.results import Quantity, Results, SeedStatistic
-from contactgraph_studies.study import Picture
+from contactgraph_studies.results import Results
+from contactgraph_studies.study import Picture, write_figure
 
 _LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 _DOTTED = (0, (2, 3))
-_FAMILY_COLOURS = {"as written": "#6d7278", "cared for": "#eca86f", "ours": "#1b66a8"}
 _FAMILY_LINES = {"as written": "--", "cared for": ":", "ours": "-"}
 _BASELINES = {
     "baseline: constant velocity": (jobs.CONSTANT_VELOCITY, ":"),
@@ -50,32 +47,23 @@ def figure_pictures(
     folder: Path, results: Results, tasks: Sequence[StudyTask], amounts: Amounts
 ) -> list[Picture]:
     """The paper's figures, written to ``figures/NAME.png`` in the folder."""
-    drawn = [
-        (
-            "n-step-error",
-            "N-step error in and out of distribution",
-            "Planned against executed positions, 0.5 s ahead, over the bodies that move. Each "
-            "training is a point, beside the median with its interval of 95 % over trainings and "
-            "scenes; a triangle is a plan that diverged. The dotted line at 1 cm is the paper's "
-            "bound in distribution. A controller that moves no object has no error. The baselines "
-            "are over all bodies.",
-            error_figure(results, tasks),
-        ),
-        (
-            "sensor-faults",
-            "Edges predicted wrongly with a faulty contact sensor",
-            "On recorded runs, in distribution. The gain by measured contacts is the distance "
-            "from no sensor to exact.",
-            fault_figure(results, tasks),
-        ),
-    ]
-    sampled = [task for task in tasks if task.with_samples]
-    if sampled:
-        title = "Error against the number of training trajectories"
-        caption = "Out of distribution, on recorded trajectories; with intervals of 95 %."
-        figure = sample_figure(results, sampled, amounts)
-        drawn.append(("sample-efficiency", title, caption, figure))
-    return [figures.write_figure(folder, *one) for one in drawn]
+    title = "N-step error in and out of distribution"
+    caption = (
+        "Planned against executed positions, 0.5 s ahead, over the bodies that move. Each "
+        "training is a point, beside the median with its interval of 95 % over trainings and "
+        "scenes; a triangle is a plan that diverged. The dotted line at 1 cm is the paper's "
+        "bound in distribution. A controller that moves no object has no error. The baselines "
+        "are over all bodies."
+    )
+    figure = error_figure(results, tasks)
+    pictures = [write_figure(folder, "n-step-error", title, caption, figure)]
+    for task in tasks:
+        if task.with_samples:
+            title = "Error against the number of training trajectories"
+            caption = "Out of distribution, on recorded trajectories; with intervals of 95 %."
+            figure = sample_figure(results, task, amounts)
+            pictures.append(write_figure(folder, "sample-efficiency", title, caption, figure))
+    return pictures
 
 
 def parameter_pictures(
@@ -91,11 +79,13 @@ def parameter_pictures(
             continue
         title = f"Belief and learned parameters, {task.name}, {family.name}"
         model = folder / job.needs[0].output / "model.safetensors"
-        scene = figures.first_episode(folder / job.output, model, task.name)
-        if scene is not None:
+        trajectories = (folder / job.output).with_suffix(".h5")
+        if trajectories.is_file() and model.is_file():
+            first = read_trajectories(trajectories).trajectories[0]
+            scene = scene_trajectory(load_model(model).model, task.name, first)
             name = f"parameters-{task.name}-{family.slug}"
             drawn = parameter_figure(scene)
-            pictures.append(figures.write_figure(folder, name, title, caption, drawn))
+            pictures.append(write_figure(folder, name, title, caption, drawn))
     return pictures
 
 
@@ -136,59 +126,32 @@ def _draw_errors(axes: Axes, results: Results, task: StudyTask, family: Family) 
     axes.set_ylim(_LOWEST_CM, _HIGHEST_CM)
 
 
-def fault_figure(results: Results, tasks: Sequence[StudyTask]) -> Figure:
-    """Edges that GIM-Temp predicts wrongly on recorded trajectories, by fault of the sensor."""
-    figure, panels = figures.panel_row(tasks, 3.6, 1.6, 4.0)
-    names = ["exact", "no sensor", *(fault.name for fault in FAULTS)]
-    wrong, unmeasured = _wrong(jobs.EDGE_ACCURACY), _wrong(jobs.UNMEASURED_ACCURACY)
-    for axes, task in zip(panels, tasks, strict=True):
-        for offset, family in zip((-0.2, 0.0, 0.2), task.families, strict=False):
-            own = recorded(task, family.gim_temp, task.as_trained)
-            rows = [(own, wrong), (own, unmeasured)]
-            rows += [(replace(own, source=Source.faults, sensor=one.name), wrong) for one in FAULTS]
-            median, ranges = _ranges([results.statistic(*row) for row in rows])
-            colour = _FAMILY_COLOURS[family.name]
-            style: dict[str, Any] = {"color": colour, "label": f"GIM-Temp {family.name}"}
-            heights = np.arange(len(rows)) + offset
-            axes.errorbar(median, heights, xerr=ranges, fmt="o", ms=4, **style)
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel("edges predicted wrongly, %", **TEXT)
-    panels[0].set_yticks(range(len(names)), names)
-    panels[0].invert_yaxis()
-    _legend_below(figure, panels[0])
-    return figure
-
-
-def sample_figure(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) -> Figure:
+def sample_figure(results: Results, task: StudyTask, amounts: Amounts) -> Figure:
     """Open-loop error out of distribution against the number of training trajectories."""
-    figure, panels = figures.panel_row(tasks, 5.0, 0.6, 4.0)
+    figure = new_figure(5.6, 4.0)
+    axes = figure.subplots()
+    axes.set_title(task.name, fontsize=11, color=INK, loc="left")
+    style_axes(axes)
     sizes = amounts.sample_sizes
-    for axes, task in zip(panels, tasks, strict=True):
-        for family in task.families:
-            for model in (family.gim_temp, family.no_gim_aug):
-                every = [estimate([open_error(results, task, model, size)]) for size in sizes]
-                drawn = [one.value for one in every]
-                ranges = [[one.value - one.low for one in every]]
-                ranges += [[one.high - one.value for one in every]]
-                label = model.name if model.own_form else f"{model.name}, {family.name}"
-                line: dict[str, Any] = {"ls": _FAMILY_LINES[family.name], "lw": 1.6, "label": label}
-                axes.errorbar(sizes, drawn, ranges, c=model.colour, marker="o", ms=4, **line)
-        if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
-            axes.set_yscale("log")
-        axes.set_xscale("log")
-        axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=_DOTTED)
-        axes.set_xticks(sizes, [str(size) for size in sizes])
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xlabel("training trajectories", **TEXT)
-    _legend_below(figure, panels[0])
-    panels[0].set_ylabel("open-loop error of moving bodies, cm", **TEXT)
+    for family in task.families:
+        for model in (family.gim_temp, family.no_gim_aug):
+            every = [estimate([open_error(results, task, model, size)]) for size in sizes]
+            drawn = [one.value for one in every]
+            ranges = [[one.value - one.low for one in every]]
+            ranges += [[one.high - one.value for one in every]]
+            label = model.name if model.own_form else f"{model.name}, {family.name}"
+            line: dict[str, Any] = {"ls": _FAMILY_LINES[family.name], "lw": 1.6, "label": label}
+            axes.errorbar(sizes, drawn, ranges, c=model.colour, marker="o", ms=4, **line)
+    if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
+        axes.set_yscale("log")
+    axes.set_xscale("log")
+    axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=_DOTTED)
+    axes.set_xticks(sizes, [str(size) for size in sizes])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("training trajectories", **TEXT)
+    axes.set_ylabel("open-loop error of moving bodies, cm", **TEXT)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, **LEGEND)
     return figure
-
-
-def _legend_below(figure: Figure, axes: Axes) -> None:
-    """That of one panel, for all."""
-    named = axes.get_legend_handles_labels()
-    figure.legend(*named, loc="outside lower center", ncols=3, **LEGEND)
 
 
 def _draw_points(
@@ -220,15 +183,3 @@ def _draw_points(
                 axes.plot([x, x], [found.low, high], color=colour, lw=1.0)
     axes.set_xticks(range(len(conditions)), [condition.name for condition in conditions])
     axes.set_xlim(-0.5, len(conditions) - 0.5)
-
-
-def _ranges(statistics: Sequence[SeedStatistic]) -> tuple[list[float], np.ndarray]:
-    """Medians, and how far the ranges over seeds go below and above them; NaN if not known."""
-    below = [one.median - one.low for one in statistics]
-    above = [one.high - one.median for one in statistics]
-    return [one.median for one in statistics], np.array([below, above])
-
-
-def _wrong(accuracy: Quantity) -> Quantity:
-    """100 % less an accuracy."""
-    return Quantity(accuracy.key, "%", derived=lambda values: 100.0 - accuracy.read(values))

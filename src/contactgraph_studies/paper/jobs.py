@@ -15,7 +15,6 @@ from contactgraph_studies.bootstrap import Sample, root_mean_square
 from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
     FAMILIES,
-    FAULTS,
     TEST_SEED,
     Amounts,
     Family,
@@ -40,8 +39,6 @@ class Source(StrEnum):
     """Rolled out over a whole episode."""
     samples = auto()
     """Open loop, by number of training trajectories."""
-    faults = auto()
-    """Open loop, with a faulty contact sensor."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,6 @@ class ModelCondition:
     task: str
     model: str
     scenes: str
-    sensor: str | None = None
     training_runs: int | None = None
     """For `Source.samples`."""
 
@@ -101,11 +97,10 @@ def condition_of(
     task: StudyTask,
     model: StudyModel,
     scenes: TestCondition,
-    sensor: str | None = None,
     training_runs: int | None = None,
 ) -> ModelCondition:
     """The labels of a test."""
-    return ModelCondition(source, task.name, model.name, scenes.name, sensor, training_runs)
+    return ModelCondition(source, task.name, model.name, scenes.name, training_runs)
 
 
 planned, recorded = partial(condition_of, Source.planned), partial(condition_of, Source.recorded)
@@ -126,10 +121,9 @@ def _of(task: StudyTask, seed: int, amounts: Amounts) -> Iterator[Measurement]:
             amounts.sample_sizes, (family.gim_temp, family.no_gim_aug)
         ):
             one = _TrainedModel(task, model, seed, runs, amounts)
-            for scenes in (task.as_trained, task.hardest):
-                # At 40 trajectories a job of the main table, found by its output and run once.
-                name = f"recorded-{scenes.slug}"
-                yield one.evaluate(Source.samples, scenes, name, training_runs=runs)
+            # At 40 trajectories a job of the main table, found by its output and run once.
+            name = f"recorded-{task.hardest.slug}"
+            yield one.evaluate(Source.samples, task.hardest, name, training_runs=runs)
 
 
 def _of_model(
@@ -152,9 +146,6 @@ def _of_model(
         if whole:
             most = amounts.success_episodes if scenes is trained_on else amounts.episodes
             yield one.control(Source.every_step, scenes, "every-step", ("--episodes", str(most)))
-    for fault in FAULTS if whole else ():
-        name, options = fault.slug, fault.options
-        yield one.evaluate(Source.faults, trained_on, name, options, sensor=fault.name)
     if model in (family.gim_temp, family.full_ab) and family.full_ab in task.models:
         yield one.evaluate(Source.growth, trained_on, "growth", ("--growth-steps", long))
         yield one.control(Source.long_plan, trained_on, "long-plan", long_plan)
@@ -187,7 +178,7 @@ class _TrainedModel:
         arguments = (
             *("train", data.output, "--out", output, "--seed", str(self.seed)),
             *("--held-out", "0.2", *model.options, *distance),
-            *(*task.training_options, *self.amounts.training_options),
+            *self.amounts.training_options,
         )
         group = f"train {task.name} {model.slug}"
         return Job(output, arguments, group, (data,), checkpoints="checkpoint-*.safetensors")

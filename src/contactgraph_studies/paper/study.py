@@ -27,7 +27,6 @@ from contactgraph_studies.paper.jobs import (
     condition_of,
     measurements,
 )
-from contactgraph_studies.paper.statements import CHANGES
 from contactgraph_studies.results import PLANNED_F1, SLOWEST_MS, Results
 from contactgraph_studies.study import Claim, Study, StudyResult
 from contactgraph_studies.tables import StudyTable, counts
@@ -65,7 +64,6 @@ class ModelStudy(Study):
             tables=[
                 model_table(results, self.tasks, amounts),
                 verdict_table(judged_claims),
-                _changes_table(),
             ],
             figures=[
                 *figure_pictures(folder, results, self.tasks, amounts),
@@ -103,16 +101,6 @@ def verdict_table(judged_claims: Sequence[Claim]) -> StudyTable:
         "lies outside; else it cannot be told.",
         headings=headings,
         rows=[dict.fromkeys(headings) | row for row in rows.values()],
-    )
-
-
-def _changes_table() -> StudyTable:
-    names = ("models", "difference", "reason")
-    return StudyTable(
-        title="Differences from the paper",
-        caption="Of each family of models.",
-        headings=dict(zip(names, names, strict=True)),
-        rows=[dict(zip(names, one, strict=True)) for one in CHANGES],
     )
 
 
