@@ -35,7 +35,7 @@ from contactgraph.envs.gripper_task import DT, GRIPPER
 from contactgraph.envs.hidden_contact import HOLD_SHARE
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.evaluate import horizon_steps
-from contactgraph.evaluate.forced import EVERY, Branch, branches, controls_of
+from contactgraph.evaluate.forced import EVERY, Branch, branches
 from contactgraph.evaluate.statistics import moving_errors
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.tables import StudyTable
@@ -247,7 +247,7 @@ def bayes_bound(
     windows: list[dict[str, float]] = []
     for index, trajectory in enumerate(dataset):
         beliefs, task = compared(trajectory), recorded_task(dataset, trajectory)
-        for branch in branches(task, trajectory, steps, controls_of(index), every):
+        for branch in branches(task, trajectory, steps, index, every):
             rng = np.random.default_rng([1, index, branch.start])
             windows.append({"episode": index} | _errors(branch, beliefs, steps, samples, rng))
     columns = {name: np.array([each[name] for each in windows]) for name in windows[0]}

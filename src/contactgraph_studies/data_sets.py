@@ -1,7 +1,7 @@
 """The data sets of the table of results, and the jobs that measure them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum, auto
 from functools import cached_property
 from importlib.util import find_spec
@@ -46,8 +46,9 @@ class DataSet:
     """Each is a row of the table; the first are those that were trained on."""
     extra: str | None = None
     """The extra that installs what the task needs."""
-    priors: bool = False
-    """Whether the geometric priors are measured in the place of inference."""
+    hidden: bool = False
+    """Whether geometry does not tell its holds: then it is measured under forces, too, and with the
+    geometric priors in the place of inference."""
 
     @property
     def missing(self) -> str | None:
@@ -71,10 +72,11 @@ DATA_SETS = (
     DataSet("pickup", scenes=(Scenes(), Scenes("10-distractors", ("--distractors", "10")))),
     DataSet("multi-pickup", scenes=(Scenes(), Scenes("5-picks", ("--objects", "5")))),
     DataSet("door"),
-    DataSet("suction", ("--hidden-switch",), priors=True),
-    DataSet("release", priors=True),
-    DataSet("delay", priors=True),
-    DataSet("sticky", priors=True),
+    DataSet("suction", ("--hidden-switch",), hidden=True),
+    DataSet("release", hidden=True),
+    DataSet("delay", hidden=True),
+    DataSet("sticky", hidden=True),
+    DataSet("look-alikes", hidden=True),
     DataSet("billiards", ("--passive",)),
     DataSet(
         "pusht",
@@ -106,7 +108,7 @@ class Amounts:
     searched_episodes: int
     """The same of tasks whose starts are searched, and of simulated arms."""
     baselines: bool
-    """Whether least squares and a network are fitted, and priors and scripts are measured."""
+    """Whether least squares and a network are fitted, and scripts are measured."""
     training_options: Options = ()
 
     @property
@@ -136,15 +138,35 @@ class Source(StrEnum):
     """The same: what is near is held."""
     baselines = auto()
     """Prediction by least squares and a network, fitted for as long as the first training took."""
+    forced = auto()
+    """Prediction by a model under random constant forces."""
+    forced_prior_touch = "forced-prior-touch"
+    forced_prior_hold = "forced-prior-hold"
     mpc = auto()
     """Control by MPC with a model."""
+    mpc_motion = "mpc-motion"
+    """The same without a contact sensor."""
+    mpc_prior_touch = "mpc-prior-touch"
+    mpc_prior_hold = "mpc-prior-hold"
     expert = auto()
     """Control by the task's expert."""
     fixed_start = "fixed-start"
     """Control without model and search."""
 
 
-PRIORS = (Source.prior_touch, Source.prior_hold)
+SCRIPTS = (Source.expert, Source.fixed_start)
+_PRIORS = (Source.prior_touch, Source.prior_hold)
+_VARIANTS = {
+    source: Variant(source, "", options)
+    for source, options in (
+        *((prior, ("--inference", prior)) for prior in _PRIORS),
+        (Source.forced, ("--forced",)),
+        *((Source(f"forced-{prior}"), ("--forced", "--inference", prior)) for prior in _PRIORS),
+        (Source.mpc_motion, ("--unmeasured",)),
+        *((Source(f"mpc-{prior}"), ("--inference", prior)) for prior in _PRIORS),
+    )
+}
+"""The further measurements of hidden holds: their options of ``evaluate`` or ``control``."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +191,7 @@ def result_measurements(sets: Sequence[DataSet], amounts: Amounts) -> list[Measu
 
 def _scripts(data: DataSet, amounts: Amounts) -> Iterator[Measurement]:
     for scenes in data.scenes if data.controlled else ():
-        for source in (Source.expert, Source.fixed_start):
+        for source in SCRIPTS:
             task = known_task(scenes.task or data.slug)
             if source is Source.expert or task.fixed_start is not None:
                 output = f"{data.slug}/{source}-{scenes.slug}.json"
@@ -190,11 +212,13 @@ def _of(data: DataSet, seed: int, amounts: Amounts) -> Iterator[Measurement]:
                 fitted = Variant("baselines", "", ("--baselines", training.data_job.output))
                 job = training.evaluation(scenes, fitted, (training.data_job,))
                 yield measured(scenes, Source.baselines, job)
-            for prior in PRIORS if amounts.baselines and data.priors else ():
-                variant = Variant(prior, "", ("--inference", prior))
-                yield measured(scenes, prior, training.evaluation(scenes, variant))
         if data.controlled:
             yield measured(scenes, Source.mpc, training.control(scenes))
+        for source, variant in _VARIANTS.items() if data.hidden else ():
+            if source.startswith("mpc"):
+                yield measured(scenes, source, training.control(scenes, variant))
+            else:
+                yield measured(scenes, source, training.evaluation(scenes, variant))
 
 
 @dataclass(frozen=True)
@@ -240,11 +264,13 @@ class Training:
         arguments = ("evaluate", self.job.output, test.output, *variant.options, "--json", output)
         return Job(output, arguments, f"{name} {self.data.slug}", (self.job, test, *needs))
 
-    def control(self, scenes: Scenes) -> Job:
+    def control(self, scenes: Scenes, variant: Variant = PLAIN) -> Job:
         """Control by MPC."""
-        count = self.amounts.episodes_of(self.data)
-        output = f"{self.folder}/control-{scenes.slug}-{count}.json"
-        return _control(self.data, scenes, self.amounts, self.job.output, output, (self.job,))
+        count = str(self.amounts.episodes_of(self.data))
+        name = "-".join(("control", scenes.slug, count, *filter(None, [variant.slug])))
+        output = f"{self.folder}/{name}.json"
+        job = _control(self.data, scenes, self.amounts, self.job.output, output, (self.job,))
+        return replace(job, arguments=(*job.arguments, *variant.options))
 
 
 def _collect(data: DataSet, options: Options, runs: int, seed: int, output: str) -> Job:

@@ -12,7 +12,7 @@ from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
 from contactgraph_studies.data_sets import (
     DATA_SETS,
-    PRIORS,
+    SCRIPTS,
     Amounts,
     DataSet,
     ResultCondition,
@@ -65,6 +65,14 @@ QUANTITIES = {
     "fixed_contact_cm": (Source.model, _cm("frozen_contact_rmse_moving_m")),
     "prior_touch_cm": (Source.prior_touch, _BY_MOTION),
     "prior_hold_cm": (Source.prior_hold, _BY_MOTION),
+    "forced_cm": (Source.forced, _BY_MOTION),
+    "forced_mean_cm": (Source.forced, _cm("n_step_mean_moving_inferred_m")),
+    "forced_measured_cm": (Source.forced, moving_error("n_step_rmse_moving_m", _ALL)),
+    "forced_prior_touch_cm": (Source.forced_prior_touch, _BY_MOTION),
+    "forced_prior_hold_cm": (Source.forced_prior_hold, _BY_MOTION),
+    "forced_f1": (Source.forced, Quantity("edge_f1_now_inferred")),
+    "forced_calibration": (Source.forced, Quantity("calibration_error_inferred")),
+    "forced_calibration_ahead": (Source.forced, Quantity("calibration_error_ahead_inferred")),
     "angle_degrees": (Source.model, _degrees("angle_rmse_rad")),
     "constant_velocity_angle_degrees": (Source.model, _degrees("constant_velocity_angle_rmse_rad")),
     "network_angle_degrees": (Source.baselines, _degrees("gnn_angle_rmse_rad")),
@@ -77,6 +85,11 @@ QUANTITIES = {
     "mass_error_percent": (Source.model, Quantity("mass_error_median", "%", 100.0)),
     "mass_coverage_percent": (Source.model, Quantity("mass_interval_coverage", "%", 100.0)),
     "success_percent": (Source.mpc, SUCCESS_PERCENT),
+    "motion_success_percent": (Source.mpc_motion, SUCCESS_PERCENT),
+    "prior_touch_success_percent": (Source.mpc_prior_touch, SUCCESS_PERCENT),
+    "prior_hold_success_percent": (Source.mpc_prior_hold, SUCCESS_PERCENT),
+    "failed_grasp_delay_ms": (Source.mpc, Quantity("failed_grasp_delay_ms_p50", "ms")),
+    "lost_grasp_delay_ms": (Source.mpc, Quantity("break_delay_ms_p50", "ms")),
     "goal_cm": (Source.mpc, _cm("goal_distance_m_median")),
     "expert_percent": (Source.expert, SUCCESS_PERCENT),
     "fixed_start_percent": (Source.fixed_start, SUCCESS_PERCENT),
@@ -90,7 +103,7 @@ _KEPT = {quantity.key for _, quantity in QUANTITIES.values()} | {
     *("n_step_rmse_m", "n_step_rmse_inferred_m", "infer_contacts", "least_squares_missing"),
     *("episodes", "success_rate", "seed"),
 }
-_LEARNED = ("measured_cm", "motion_cm", "least_squares_cm", "network_cm", "_prior")
+_LEARNED = ("measured_cm", "motion_cm", "least_squares_cm", "network_cm")
 _HEADINGS = {
     "row": "data",
     "measured_cm": "ours, contacts measured",
@@ -98,7 +111,6 @@ _HEADINGS = {
     "constant_velocity_cm": "constant velocity",
     "least_squares_cm": "least squares",
     "network_cm": "network",
-    "_prior": "geometric prior",
     "angle_degrees": "angle, degrees",
     "edge_f1_motion": "edge F1",
     "calibration_error": "calibration error",
@@ -114,8 +126,7 @@ CAPTION = (
     "median of the trainings, with their range in brackets. With contacts measured a contact "
     "sensor corrects the beliefs up to a window's start; by motion the observed motion does. The "
     "network is an interaction network that is trained on the same data for as long as the first "
-    "training. Geometric prior: the same models without inference, the better of what is near "
-    "touches and what is near is held. Edge F1 and calibration error are of beliefs by motion, "
+    "training. Edge F1 and calibration error are of beliefs by motion, "
     "about the step just made. Every controller is tested in the same scenes (seed 2000); the "
     "interval of 95 % is over scenes. Times are of two jobs at a time on two cores; later "
     "trainings of a process reuse compiled programs."
@@ -225,13 +236,6 @@ class ResultRow:
             for name, (source, quantity) in QUANTITIES.items()
         }
 
-    @property
-    def prior(self) -> SeedStatistic:
-        """The better of the two priors; without a value where none is measured."""
-        both = [self.numbers[name] for name in ("prior_touch_cm", "prior_hold_cm")]
-        known = (one for one in both if one.known)
-        return min(known, key=lambda one: one.median, default=SeedStatistic())
-
     def notes(self) -> Iterator[tuple[str, str]]:
         """What has nothing to show, and the reason."""
         if self.data.missing is not None:
@@ -242,7 +246,7 @@ class ResultRow:
             if (condition.data, condition.scenes) == (self.data.slug, self.scenes.slug):
                 reason = reason_missing(one.job, self.records)
                 if reason is not None:
-                    trained = condition.source in (Source.model, Source.mpc, *PRIORS)
+                    trained = condition.source not in (Source.baselines, *SCRIPTS)
                     yield f"{condition.source}{f' {one.seed}' if trained else ''}", reason
         readings = self.results.readings(self.condition(Source.baselines))
         if readings and readings[0].values.get("least_squares_missing"):
@@ -273,14 +277,13 @@ def _cells(row: ResultRow) -> dict[str, Any]:
     successes = {
         name: row.results.success(row.condition(source)) for name, source in sources.items()
     }
-    shown = {**row.numbers, "_prior": row.prior}
     return {
         "row": row.name,
         "data": row.data.slug,
         "scenes": row.scenes.slug,
         "trainings": len(row.results.readings(row.condition(Source.model))),
-        **shown,
-        "_bold": smallest({name: shown[name].median for name in _LEARNED}),
+        **row.numbers,
+        "_bold": smallest({name: row.numbers[name].median for name in _LEARNED}),
         "_success": successes["mpc"] or DASH,
         "_expert": successes["expert"] or DASH,
         "_fixed_start": successes["fixed_start"] or DASH,
@@ -303,7 +306,7 @@ def results_table(rows: Sequence[ResultRow]) -> StudyTable:
         title="Every data set",
         caption=CAPTION,
         headings=_HEADINGS,
-        texts=dict.fromkeys((*QUANTITIES, "_prior"), number_text),
+        texts=dict.fromkeys(QUANTITIES, number_text),
         rows=[_cells(row) for row in rows],
         notes=[f"{row}: {', '.join(what)}: {reason}" for (row, reason), what in reasons.items()],
     )

@@ -61,9 +61,8 @@ def test_before_training_geometry_decides_what_begins_and_a_hold_lasts() -> None
     found = np.asarray(compiled(edges().transitions, apart, jnp.array([[0.5, 0.25, 0.25]])))[
         0, :, 3
     ]
-    odds = np.exp(-2.3)
-    np.testing.assert_allclose(found[:2, 2] / found[:2, 1], odds, rtol=0.1)
-    np.testing.assert_allclose(found[:2, 0] / found[:2, 1], 2.0, rtol=0.1)
+    np.testing.assert_allclose(found[:2, 2], 0.5 / (1.0 + np.exp(3.0)), rtol=0.1)
+    np.testing.assert_allclose(found[:2, 0] / found[:2, 1], 1.0, rtol=0.1)
     assert found[2, 2] > 0.99
     np.testing.assert_allclose(found.sum(axis=-1), 1.0)
     assert found.min() >= 0.5 * LEAST
@@ -74,7 +73,18 @@ def test_what_is_free_or_touches_at_rest_stays_so_and_an_approach_begins_a_touch
     rests, approaches = jnp.zeros((1, 10)), jnp.zeros((1, 10)).at[0, -2].set(1.0)
     at_rest, after = (compiled(edges().transitions, each, touching) for each in (rests, approaches))
     assert at_rest[0, 0, 0, 0] > 0.9 > 0.1 > after[0, 0, 0, 0]
-    assert at_rest[0, 1, 0, 1] > 0.98 and after[0, 1, 0, 1] > 0.98
+    assert at_rest[0, 1, 0, 0] < 0.01 and after[0, 1, 0, 0] < 0.01
+
+
+def test_a_hold_lasts_as_long_wherever_its_ends_are_driven() -> None:
+    inference, embedding = edges(seed=2), EMBEDDING.at[0, -1].set(0.0)
+    together, parting = (
+        compiled(inference.transitions, embedding, jnp.array([[q, 0.5 - 0.5 * q, 0.5 - 0.5 * q]]))
+        for q in (0.01, 0.99)
+    )
+    np.testing.assert_allclose(together[:, 2, :, 2], parting[:, 2, :, 2], atol=LEAST)
+    assert together[0, 2, :, 1].max() > 10.0 * parting[0, 2, :, 1].max() > 0.0
+    assert together[0, 1, :, 2].max() > 10.0 * parting[0, 1, :, 2].max() > 0.0
 
 
 def test_odds_beyond_the_least_transition_can_return() -> None:
@@ -158,11 +168,11 @@ def test_no_force_changes_the_odds_of_a_hold_and_a_switch_does() -> None:
     distance = float(model.features.contact_distance)
 
     def odds(gap: float, *control: float) -> jax.Array:
-        """Log odds of hold beside touch for bodies that are in contact, where geometry is open."""
+        """Log odds of hold where geometry is open."""
         position = jnp.array([[0.0, 0.0], [(1.0 + gap) * distance, 0.0]])
         graph = model.encode(position, jnp.zeros((2, 2)), jnp.array(control), nodes_of(2), NOTHING)
-        found = jnp.log(model.inference.transitions(graph.embedding, 0.0 * graph.prior + 1.0 / 3.0))
-        return (found[..., 2] - found[..., 1])[:, 1:]
+        found = model.inference.transitions(graph.embedding, 0.0 * graph.prior + 1.0 / 3.0)
+        return jax.scipy.special.logit(found[..., 2])
 
     for gap in (0.0, 0.05):
         still = compiled(odds, gap, 0.0, 0.0, 0.0)

@@ -22,7 +22,7 @@ from contactgraph_studies.paper.config import (
     StudyModel,
     StudyTask,
 )
-from contactgraph_studies.paper.figures import error_figure, sample_figure
+from contactgraph_studies.paper.figures import error_figure
 from contactgraph_studies.paper.jobs import ModelCondition, planned
 from contactgraph_studies.paper.study import OMITTED, model_table
 from contactgraph_studies.results import Reading, Results, Success
@@ -97,7 +97,6 @@ def test_a_cell_is_the_median_over_seeds_with_their_range() -> None:
 
 FIGURES: list[Callable[[Results], Figure]] = [
     lambda measured: error_figure(measured, [DOOR]),
-    lambda measured: sample_figure(measured, PICKUP, AMOUNTS),
 ]
 
 

@@ -124,19 +124,23 @@ def test_cells_by_hand(tmp_path: Path) -> None:
     }
 
 
-def test_the_smallest_learned_error_is_bold_and_the_better_prior_is_shown(tmp_path: Path) -> None:
-    data = DataSet("release", priors=True)
+def test_the_smallest_learned_error_is_bold_and_hidden_holds_are_measured_under_forces(
+    tmp_path: Path,
+) -> None:
+    data = DataSet("release", hidden=True)
+    errors = {Source.forced: 0.003, Source.forced_prior_hold: 0.001, Source.prior_touch: 0.002}
 
     def values(one: Measurement) -> Values:
-        priors = {Source.prior_touch: 0.003, Source.prior_hold: 0.001}
-        by_prior = priors.get(one.condition.source)
-        answer = made_up(one)
-        if by_prior is None or answer is None:
+        answer, error = made_up(one), errors.get(one.condition.source)
+        if error is None or answer is None:
             return answer
-        return {**answer, "n_step_rmse_moving_inferred_m": by_prior}
+        return {**answer, "n_step_rmse_moving_inferred_m": error}
 
-    cells = shown(result_of(tmp_path, [data], values))["release"]
-    assert cells[:6] == ["0.2", "0.4", "5", "2", "1", "**0.1**"]
+    result = result_of(tmp_path, [data], values)
+    assert shown(result)["release"][:5] == ["**0.2**", "0.4", "5", "2", "1"]
+    row = next(csv.DictReader(io.StringIO(result.tables[0].csv())))
+    names = ("forced_cm", "forced_prior_hold_cm", "prior_touch_cm", "prior_hold_success_percent")
+    assert [row[f"{name}_median"] for name in names] == ["0.3", "0.1", "0.2", "97"]
 
 
 def test_empty_cells_have_a_reason(tmp_path: Path) -> None:

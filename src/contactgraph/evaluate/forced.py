@@ -51,15 +51,17 @@ class Branch:
 
 
 def branches(
-    task: Task, trajectory: Trajectory, steps: int, rng: np.random.Generator, every: int = EVERY
+    task: Task, trajectory: Trajectory, steps: int, episode: int, every: int = EVERY
 ) -> Iterator[Branch]:
     """Replays a recorded episode in its ``task``, and branches off in every ``every``-th state.
 
-    There are ``steps`` steps left from each of these states. A control is uniform in its direction
-    and, from 0.5 to 3 N, in its strength, within the task's bounds; switches are on or off. Raises
-    `InvalidInputError` where the replay differs from the recording or the control is no force.
+    There are ``steps`` steps left from each of these states. The ``episode`` is the seed of the
+    controls, each of which is uniform in its direction and, from 0.5 to 3 N, in its strength,
+    within the task's bounds; switches are on or off. Raises `InvalidInputError` where the replay
+    differs from the recording or the control is no force.
     """
     scene, recorded = trajectory.scene, trajectory.control
+    rng = np.random.default_rng([0, episode])
     kinds = scene.control_kind or ("force",) * trajectory.control_size
     if not kinds or not set(kinds) <= {"force", "switch"}:
         found = ", ".join(sorted(set(kinds))) or "nothing"
@@ -103,7 +105,7 @@ def forced_windows(
     windows = [
         (index, branch.trajectory(steps))
         for index, each in enumerate(dataset)
-        for branch in branches(task_of(each), each, steps, np.random.default_rng([0, index]), every)
+        for branch in branches(task_of(each), each, steps, index, every)
     ]
     episode, trajectories = zip(*windows, strict=True)
     return replace(dataset, trajectories=trajectories), episode

@@ -16,7 +16,7 @@ from contactgraph.bodies.graph import HOLD, EdgeType
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory
-from contactgraph.inference.features import approach_gap_and_switches
+from contactgraph.inference.features import GAP_SCALES, approach_gap_and_switches
 
 _AGES = 44
 """Ages that are told apart, in steps; the last stands for all longer ones."""
@@ -24,10 +24,12 @@ _STAGES = np.array([0.5, 1.5, 3.5, 7.5, 14.5, 22.5, 32.5])
 """Ages at which the `DurationEdges.stages` begin at the start of training."""
 _PACE = 10.0
 """Scale of the log odds by age in their parameters, so that they learn as fast as networks."""
-_LASTS, _BEGINS = 7.0, -2.3
+_LASTS, _BEGINS = 5.0, -3.0
 """Log odds, beside those of geometry, that what holds lasts, and that a hold begins, before
 training."""
-_TOUCHES, _STAYS_FREE = 3.0, 6.0
+_DISTANT = 10.0
+"""Log odds by which bodies far from each other hold less, before training."""
+_TOUCHES, _STAYS_FREE = 3.0, 10.0
 """Log odds, beside those of geometry, that a touch of bodies without a gap lasts, and that such
 bodies which are free stay so while they do not approach each other. They are not learned: motion
 hardly tells a touch from none."""
@@ -163,19 +165,23 @@ def aged(flow: Float[Array, "E K A K"]) -> Float[Array, "E K A"]:
 class DurationEdges(EdgeInference):
     r"""An explicit-duration hidden Markov model (hidden semi-Markov model) for every edge.
 
-    The belief is a table over types k and ages a, the steps for which an edge has had its type.
-    With the geometric prior q of the step and features f of the edge,
+    The belief is a table over types k and ages a, the steps for which an edge has had its type:
 
     $$ F_{ka \to j} = b_{ka} T_{kaj}, \quad
-       T_{kaj} = \mathrm{softmax}_j\big(\log q_j + \beta_{kaj} + \textstyle\sum_m U_{kjm}(f)
-       B_{kam}\big), \quad
        b'_{j0} = \sum_{k \ne j, a} F_{ka \to j}, \quad b'_{j,a+1} = F_{ja \to j}, $$
 
-    and T is at least `min_transition`, to active types as far as the bodies meet. A touch is over
-    where there is a gap before the step. So a contact may last for exactly known times (Yu 2010,
-    Hidden semi-Markov models). Geometry q says whether the bodies meet in the step under the
-    command that is given. The features are the gap before the step, the types of the ends and the
-    switches of actuated ends: no force, because what a planner intends is no evidence of contact.
+    so that a contact may last for exactly known times (Yu 2010, Hidden semi-Markov models). With
+    features f of the edge and the geometric prior q, whether the bodies meet in the step under the
+    command that is given, the transition to a type h that holds is
+
+    $$ T_{kah} = m_{kh}\, \mathrm{softmax}_h\big(\beta_{kah} + \textstyle\sum_m U_{khm}(f)
+       B_{kam}\big), \quad m_{kh} = 1 \text{ if } k = h, \text{ else } 1 - q_0, $$
+
+    with 0 in the softmax for none that holds. What is left is shared by *free* and *touch*: by q,
+    what it was before, and a learned share of touches that begin. T is at least `min_transition`,
+    to active types as far as the bodies meet. A touch is over where there is a gap before the
+    step. The features are the gap before the step, the types of the ends and the switches of
+    actuated ends: no force, because what a planner intends is no evidence of contact.
     """
 
     message_passing: EdgeNetwork
@@ -203,9 +209,10 @@ class DurationEdges(EdgeInference):
         """``width``: of the network of the features; ``commands``: the switches."""
         count, stages = 1 + len(edge_types), 1 + len(_STAGES)
         network_key, key = jax.random.split(key)
-        self.message_passing = EdgeNetwork(2 + commands + node_types, width, key=network_key)
+        inputs = len(GAP_SCALES) + commands + node_types
+        self.message_passing = EdgeNetwork(inputs, width, key=network_key)
         holds = np.flatnonzero([False, *(not each.unilateral for each in edge_types)])
-        last = eqx.nn.Linear(width, count * len(holds) * stages, key=key)
+        last = eqx.nn.Linear(width, count * len(edge_types) * stages, key=key)
         self.coefficients = eqx.tree_at(
             lambda each: (each.weight, each.bias), last, replace_fn=jnp.zeros_like
         )
@@ -250,7 +257,8 @@ class DurationEdges(EdgeInference):
         ends = jnp.sum(node[edge_index, : self.node_types], axis=0)
         known = jnp.concatenate([edge, jnp.broadcast_to(ends, (2, *ends.shape))], axis=-1)
         _, message = self.message_passing(node, known[..., 1:], weight, edge_index)
-        return jnp.concatenate([message[0], edge[0, :, :2]], axis=-1)
+        approach_and_gap = edge[0][:, np.array([0, len(GAP_SCALES)])]
+        return jnp.concatenate([message[0], approach_and_gap], axis=-1)
 
     def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
         """The geometric prior, of unknown ages."""
@@ -277,19 +285,32 @@ class DurationEdges(EdgeInference):
         self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> Float[Array, "E K A K"]:
         """T: the probability of each type after the step, given type and age before it."""
-        (types, ages, holding), stages = self.odds.shape, self.stages.shape[-1]
+        (count, _, stages), edges = self.stages.shape, len(prior)
         features, (approaches, gap) = embedding[:, :-2], embedding[:, -2:].T
-        coefficients = jax.vmap(self.coefficients)(features).reshape(-1, types, holding, stages)
-        learned = jnp.einsum("ekhm,kam->ekah", coefficients, self.stages) + _PACE * self.odds
+        coefficients = jax.vmap(self.coefficients)(features).reshape(-1, count, count - 1, stages)
+        log_prior = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))
+        log_meets = jnp.log(jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY))
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
-        lasts = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((len(gap), 1))
-        lasts = lasts.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
-        lasts = jnp.where(gap[:, None] > 0, 0.0, lasts)
-        rates = jnp.repeat((lasts[:, None] * np.eye(types))[:, :, None], ages, axis=2)
-        rates = rates.at[..., np.flatnonzero(~unilateral)[1:]].set(learned)
-        logits = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))[:, None, None] + rates
+        touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
+        # A hold lasts wherever its ends are driven, and begins where they meet.
+        odds = jnp.einsum("ekhm,kam->ekah", coefficients[:, :, holds - 1], self.stages)
+        odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None, None]
+        odds = jnp.pad(odds + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
+        lasts = holds == np.arange(count)[:, None, None]
+        held = jax.nn.log_softmax(odds)[..., 1:]
+        held += jnp.where(lasts, 0.0, log_meets[:, None, None, None])
+        # Geometry says whether bodies that are not held touch.
+        stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
+        stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
+        others = jnp.where(gap[:, None] > 0, 0.0, stays)[:, None] * np.eye(count)
+        begins = coefficients[:, :, touches - 1, 0] * approaches[:, None, None]
+        others = others.at[..., touches].add(begins + log_meets[:, None, None])
+        others = others.at[..., 0].add(log_prior[:, :1])
+        others = jax.nn.log_softmax(others, where=np.isin(np.arange(count), holds, invert=True))
+        none_held = 1.0 - jnp.sum(jnp.exp(held), axis=-1, keepdims=True)
+        others = others[:, :, None] + jnp.log(jnp.maximum(none_held, _SMALLEST))
         least = self.min_transition * jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])
-        return _bounded_softmax(logits, least[:, None, None])
+        return _bounded_softmax(others.at[..., holds].set(held), least[:, None, None])
 
     @property
     def log_density(self) -> Float[Array, ""]:

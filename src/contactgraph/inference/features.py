@@ -20,9 +20,9 @@ _NEAR = 0.03
 """Gap, in contact distances, that separates bodies that touch from those that are merely near."""
 _PACE = 5.0
 """Scale of the logarithms of sizes in their parameters, so that they learn as fast as networks."""
-_TOUCHING, GAP_SCALES = 0.002, (0.003, 0.03)
+_TOUCHING, GAP_SCALES = 0.002, (0.003, 0.03, 0.3)
 """Gap, in contact distances, of bodies that touch, at most, and approach in a step of such that
-rest; and those gaps beyond it at which bodies have just parted, and are merely near."""
+rest; and those gaps beyond it at which bodies have just parted, are merely near, and are apart."""
 
 
 class Features(eqx.Module):
@@ -217,15 +217,17 @@ class InvariantFeatures(Features):
 
 def approach_gap_and_switches(
     geometry: Geometry, nodes: Nodes, switches: Float[Array, " C"]
-) -> Float[Array, "E 3+C"]:
+) -> Float[Array, "E 4+C"]:
     """1 where the bodies of an edge approach each other in the step, else 0; their bounded gap
-    before it, on two scales, 0 where they touch; and the switches of actuated ends."""
+    before it, on the scales, 0 where they touch, negative where one is in the other; and the
+    switches of actuated ends."""
     touch = jax.lax.stop_gradient(geometry.contact_distance)
-    gap = jnp.maximum(geometry.distance / touch - 1.0 - _TOUCHING, 0.0)[:, None]
+    gap = geometry.distance[:, None] / touch[:, None] - 1.0
+    gap = jnp.sign(gap) * jnp.maximum(jnp.abs(gap) - _TOUCHING, 0.0)
     approaches = (geometry.distance - geometry.closest_approach) / touch > _TOUCHING
     acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * switches
     return jnp.concatenate(
-        [approaches[:, None], gap / (np.array(GAP_SCALES) + gap), acting], axis=-1
+        [approaches[:, None], gap / (np.array(GAP_SCALES) + jnp.abs(gap)), acting], axis=-1
     )
 
 
@@ -244,7 +246,7 @@ class ClosestApproachPrior(eqx.Module):
     """$m$; factor on the contact distance below which nodes count as touching."""
     sharpness: float = eqx.field(static=True, default=0.002)
     """$s$."""
-    min_probability: float = eqx.field(static=True, default=0.01)
+    min_probability: float = eqx.field(static=True, default=0.0001)
     r"""$\epsilon$."""
 
     def __call__(self, geometry: Geometry) -> Float[Array, " E"]:

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
 
 from contactgraph.data import read_trajectories
 from contactgraph.model.io import load_model
@@ -20,7 +18,6 @@ from contactgraph_studies.bootstrap import estimate
 from contactgraph_studies.job import Measurement
 from contactgraph_studies.paper import jobs
 from contactgraph_studies.paper.config import (
-    Amounts,
     Family,
     StudyModel,
     StudyTask,
@@ -28,7 +25,6 @@ from contactgraph_studies.paper.config import (
 )
 from contactgraph_studies.paper.jobs import (
     closed_error,
-    open_error,
     planned,
 )
 from contactgraph_studies.results import Results
@@ -36,17 +32,14 @@ from contactgraph_studies.study import Picture, write_figure
 
 _LOWEST_CM, _HIGHEST_CM = 1e-3, 1e3
 _DOTTED = (0, (2, 3))
-_FAMILY_LINES = {"as written": "--", "cared for": ":", "ours": "-"}
 _BASELINES = {
     "baseline: constant velocity": (jobs.CONSTANT_VELOCITY, ":"),
     "baseline: fixed contact": (jobs.FIXED_CONTACT, "--"),
 }
 
 
-def figure_pictures(
-    folder: Path, results: Results, tasks: Sequence[StudyTask], amounts: Amounts
-) -> list[Picture]:
-    """The paper's figures, written to ``figures/NAME.png`` in the folder."""
+def figure_pictures(folder: Path, results: Results, tasks: Sequence[StudyTask]) -> list[Picture]:
+    """The paper's figure of errors, written to ``figures/NAME.png`` in the folder."""
     title = "N-step error in and out of distribution"
     caption = (
         "Planned against executed positions, 0.5 s ahead, over the bodies that move. Each "
@@ -56,14 +49,7 @@ def figure_pictures(
         "are over all bodies."
     )
     figure = error_figure(results, tasks)
-    pictures = [write_figure(folder, "n-step-error", title, caption, figure)]
-    for task in tasks:
-        if task.with_samples:
-            title = "Error against the number of training trajectories"
-            caption = "Out of distribution, on recorded trajectories; with intervals of 95 %."
-            figure = sample_figure(results, task, amounts)
-            pictures.append(write_figure(folder, "sample-efficiency", title, caption, figure))
-    return pictures
+    return [write_figure(folder, "n-step-error", title, caption, figure)]
 
 
 def parameter_pictures(
@@ -124,34 +110,6 @@ def _draw_errors(axes: Axes, results: Results, task: StudyTask, family: Family) 
     axes.set_yscale("log")
     # A model that diverges is off by kilometres: it may not set the range of the axis.
     axes.set_ylim(_LOWEST_CM, _HIGHEST_CM)
-
-
-def sample_figure(results: Results, task: StudyTask, amounts: Amounts) -> Figure:
-    """Open-loop error out of distribution against the number of training trajectories."""
-    figure = new_figure(5.6, 4.0)
-    axes = figure.subplots()
-    axes.set_title(task.name, fontsize=11, color=INK, loc="left")
-    style_axes(axes)
-    sizes = amounts.sample_sizes
-    for family in task.families:
-        for model in (family.gim_temp, family.no_gim_aug):
-            every = [estimate([open_error(results, task, model, size)]) for size in sizes]
-            drawn = [one.value for one in every]
-            ranges = [[one.value - one.low for one in every]]
-            ranges += [[one.high - one.value for one in every]]
-            label = model.name if model.own_form else f"{model.name}, {family.name}"
-            line: dict[str, Any] = {"ls": _FAMILY_LINES[family.name], "lw": 1.6, "label": label}
-            axes.errorbar(sizes, drawn, ranges, c=model.colour, marker="o", ms=4, **line)
-    if np.isfinite(axes.dataLim.intervaly).all():  # an empty log axis is an error
-        axes.set_yscale("log")
-    axes.set_xscale("log")
-    axes.axvline(task.training_runs, color=SOFT, lw=0.7, ls=_DOTTED)
-    axes.set_xticks(sizes, [str(size) for size in sizes])
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("training trajectories", **TEXT)
-    axes.set_ylabel("open-loop error of moving bodies, cm", **TEXT)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, **LEGEND)
-    return figure
 
 
 def _draw_points(

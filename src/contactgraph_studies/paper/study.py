@@ -66,7 +66,7 @@ class ModelStudy(Study):
                 verdict_table(judged_claims),
             ],
             figures=[
-                *figure_pictures(folder, results, self.tasks, amounts),
+                *figure_pictures(folder, results, self.tasks),
                 *parameter_pictures(folder, self.tasks, self.measurements),
             ],
             amounts={
