@@ -57,13 +57,14 @@ def belief(*types: float) -> ContactBelief:
 
 
 def test_before_training_geometry_decides_what_begins_and_a_hold_lasts() -> None:
-    apart = jnp.zeros((1, 10)).at[0, -1].set(0.5)  # a gap
-    found = np.asarray(compiled(edges().transitions, apart, jnp.array([[0.5, 0.25, 0.25]])))[
-        0, :, 3
-    ]
+    def of_gap(gap: float) -> np.ndarray:
+        apart, prior = jnp.zeros((1, 10)).at[0, -1].set(gap), jnp.array([[0.5, 0.25, 0.25]])
+        return np.asarray(compiled(edges().transitions, apart, prior))[0, :, 3]
+
+    found = of_gap(0.001)
     np.testing.assert_allclose(found[:2, 2], 0.5 / (1.0 + np.exp(3.0)), rtol=0.1)
     np.testing.assert_allclose(found[:2, 0] / found[:2, 1], 1.0, rtol=0.1)
-    assert found[2, 2] > 0.99
+    assert found[2, 2] > 0.99 and of_gap(0.5)[2, 2] < 0.6
     np.testing.assert_allclose(found.sum(axis=-1), 1.0)
     assert found.min() >= 0.5 * LEAST
 

@@ -20,8 +20,6 @@ from contactgraph.inference.features import GAP_SCALES, approach_gap_and_switche
 
 _AGES = 44
 """Ages that are told apart, in steps; the last stands for all longer ones."""
-_STAGES = np.array([0.5, 1.5, 3.5, 7.5, 14.5, 22.5, 32.5])
-"""Ages at which the `DurationEdges.stages` begin at the start of training."""
 _PACE = 10.0
 """Scale of the log odds by age in their parameters, so that they learn as fast as networks."""
 _LASTS, _BEGINS = 5.0, -3.0
@@ -174,8 +172,8 @@ class DurationEdges(EdgeInference):
     features f of the edge and the geometric prior q, whether the bodies meet in the step under the
     command that is given, the transition to a type h that holds is
 
-    $$ T_{kah} = m_{kh}\, \mathrm{softmax}_h\big(\beta_{kah} + \textstyle\sum_m U_{khm}(f)
-       B_{kam}\big), \quad m_{kh} = 1 \text{ if } k = h, \text{ else } 1 - q_0, $$
+    $$ T_{kah} = m_{kh}\, \mathrm{softmax}_h\big(\beta_{kah} + U_{kh}(f)\big), \quad
+       m_{kh} = 1 \text{ if } k = h, \text{ else } 1 - q_0, $$
 
     with 0 in the softmax for none that holds. What is left is shared by *free* and *touch*: by q,
     what it was before, and a learned share of touches that begin. T is at least `min_transition`,
@@ -186,8 +184,6 @@ class DurationEdges(EdgeInference):
 
     message_passing: EdgeNetwork
     coefficients: eqx.nn.Linear
-    stages: Float[Array, "K A M"]
-    """B."""
     odds: Float[Array, "K A H"]
     r"""$\beta$ of the types that hold, in units of `_PACE`."""
     edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
@@ -207,19 +203,15 @@ class DurationEdges(EdgeInference):
         key: PRNGKeyArray,
     ):
         """``width``: of the network of the features; ``commands``: the switches."""
-        count, stages = 1 + len(edge_types), 1 + len(_STAGES)
+        count = 1 + len(edge_types)
         network_key, key = jax.random.split(key)
         inputs = len(GAP_SCALES) + commands + node_types
         self.message_passing = EdgeNetwork(inputs, width, key=network_key)
         holds = np.flatnonzero([False, *(not each.unilateral for each in edge_types)])
-        last = eqx.nn.Linear(width, count * len(edge_types) * stages, key=key)
+        last = eqx.nn.Linear(width, count * len(edge_types), key=key)
         self.coefficients = eqx.tree_at(
             lambda each: (each.weight, each.bias), last, replace_fn=jnp.zeros_like
         )
-        age = np.arange(_AGES)[:, None]
-        begun = 1.0 / (1.0 + np.exp(np.clip(4.0 * (_STAGES - age), -50.0, 50.0)))
-        begun = np.concatenate([np.ones((_AGES, 1)), begun], axis=1)
-        self.stages = jnp.asarray(np.repeat(begun[None], count, axis=0), float)
         odds = np.full((count, _AGES, len(holds)), _BEGINS)
         odds[holds, :, np.arange(len(holds))] = _LASTS
         self.odds = jnp.asarray(odds / _PACE, float)
@@ -285,17 +277,16 @@ class DurationEdges(EdgeInference):
         self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> Float[Array, "E K A K"]:
         """T: the probability of each type after the step, given type and age before it."""
-        (count, _, stages), edges = self.stages.shape, len(prior)
+        edges, count = prior.shape
         features, (approaches, gap) = embedding[:, :-2], embedding[:, -2:].T
-        coefficients = jax.vmap(self.coefficients)(features).reshape(-1, count, count - 1, stages)
+        learned = jax.vmap(self.coefficients)(features).reshape(-1, count, count - 1)
         log_prior = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))
         log_meets = jnp.log(jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY))
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
         touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
         # A hold lasts wherever its ends are driven, and begins where they meet.
-        odds = jnp.einsum("ekhm,kam->ekah", coefficients[:, :, holds - 1], self.stages)
-        odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None, None]
-        odds = jnp.pad(odds + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
+        odds = learned[:, :, holds - 1] - _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
+        odds = jnp.pad(odds[:, :, None] + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
         lasts = holds == np.arange(count)[:, None, None]
         held = jax.nn.log_softmax(odds)[..., 1:]
         held += jnp.where(lasts, 0.0, log_meets[:, None, None, None])
@@ -303,7 +294,7 @@ class DurationEdges(EdgeInference):
         stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
         stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
         others = jnp.where(gap[:, None] > 0, 0.0, stays)[:, None] * np.eye(count)
-        begins = coefficients[:, :, touches - 1, 0] * approaches[:, None, None]
+        begins = learned[:, :, touches - 1] * approaches[:, None, None]
         others = others.at[..., touches].add(begins + log_meets[:, None, None])
         others = others.at[..., 0].add(log_prior[:, :1])
         others = jax.nn.log_softmax(others, where=np.isin(np.arange(count), holds, invert=True))
