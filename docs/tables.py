@@ -1,4 +1,4 @@
-"""Writes the tables of README.md and docs/results.md from the measured tables in results/tables.
+"""Writes the tables of README.md and of pages of docs from the measured tables in results/tables.
 
 Usage: python docs/tables.py [--check]
 
@@ -18,7 +18,7 @@ from contactgraph_studies.results import SeedStatistic, smallest
 from contactgraph_studies.tables import DASH, number_text
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/results.md")
+PAGES = ("README.md", "docs/results.md", "docs/inference.md")
 TABLE = re.compile(
     r"<!-- table (?P<file>\S+)\nrows: (?P<rows>.+)\ncolumns: (?P<columns>.+)\n"
     r"(?:bold: (?P<bold>.+)\n)?-->\n(?P<body>(?:\|.*\n)*)<!-- end of table -->"

@@ -73,20 +73,6 @@ def test_steps_that_are_padding_do_not_count() -> None:
     )
 
 
-def test_odds_that_jump_from_age_to_age_need_data() -> None:
-    jump = eqx.tree_at(
-        lambda each: each.inference.odds, MODEL, MODEL.inference.odds.at[1, 30:].add(0.3)
-    )
-
-    @eqx.filter_jit
-    def cost(model, share):
-        evidence = motion_evidence(MODEL, windows())
-        return transition_loss(model, windows(), evidence, share)
-
-    of_few, of_many = (float(cost(jump, share) - cost(MODEL, share)) for share in (1.0, 0.1))
-    assert of_few > 5.0 * of_many > 0.0
-
-
 def test_recorded_contacts_tell_types_where_they_are_read() -> None:
     """A body that rests beside the gripper, which motion leaves open."""
     still = windows()

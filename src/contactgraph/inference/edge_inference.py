@@ -97,11 +97,6 @@ class EdgeInference(eqx.Module):
         return jax.vmap(from_type, out_axes=1)(every)[:, :, None]
 
     @property
-    def log_density(self) -> Float[Array, ""] | float:
-        """Log-density of the parameters of the transitions before training, up to a constant."""
-        return 0.0
-
-    @property
     def networks(self) -> list[MessagePassing | EdgeNetwork]:
         """Those whose messages decide about edges."""
         return []
@@ -176,10 +171,10 @@ class DurationEdges(EdgeInference):
        m_{kh} = 1 \text{ if } k = h, \text{ else } 1 - q_0, $$
 
     with 0 in the softmax for none that holds. What is left is shared by *free* and *touch*: by q,
-    what it was before, and a learned share of touches that begin. T is at least `min_transition`,
-    to active types as far as the bodies meet. A touch is over where there is a gap before the
-    step. The features are the gap before the step, the types of the ends and the switches of
-    actuated ends: no force, because what a planner intends is no evidence of contact.
+    and what it was before. T is at least `min_transition`, to active types as far as the bodies
+    meet. A touch is over where there is a gap before the step. The features are that gap, the
+    types of the ends and the switches of actuated ends: no force, because what a planner intends
+    is no evidence of contact.
     """
 
     message_passing: EdgeNetwork
@@ -208,7 +203,7 @@ class DurationEdges(EdgeInference):
         inputs = len(GAP_SCALES) + commands + node_types
         self.message_passing = EdgeNetwork(inputs, width, key=network_key)
         holds = np.flatnonzero([False, *(not each.unilateral for each in edge_types)])
-        last = eqx.nn.Linear(width, count * len(edge_types), key=key)
+        last = eqx.nn.Linear(width, count * len(holds), key=key)
         self.coefficients = eqx.tree_at(
             lambda each: (each.weight, each.bias), last, replace_fn=jnp.zeros_like
         )
@@ -279,13 +274,13 @@ class DurationEdges(EdgeInference):
         """T: the probability of each type after the step, given type and age before it."""
         edges, count = prior.shape
         features, (approaches, gap) = embedding[:, :-2], embedding[:, -2:].T
-        learned = jax.vmap(self.coefficients)(features).reshape(-1, count, count - 1)
         log_prior = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))
         log_meets = jnp.log(jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY))
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
         touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
         # A hold lasts wherever its ends are driven, and begins where they meet.
-        odds = learned[:, :, holds - 1] - _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
+        odds = jax.vmap(self.coefficients)(features).reshape(-1, count, len(holds))
+        odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
         odds = jnp.pad(odds[:, :, None] + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
         lasts = holds == np.arange(count)[:, None, None]
         held = jax.nn.log_softmax(odds)[..., 1:]
@@ -294,20 +289,13 @@ class DurationEdges(EdgeInference):
         stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
         stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
         others = jnp.where(gap[:, None] > 0, 0.0, stays)[:, None] * np.eye(count)
-        begins = learned[:, :, touches - 1] * approaches[:, None, None]
-        others = others.at[..., touches].add(begins + log_meets[:, None, None])
+        others = others.at[..., touches].add(log_meets[:, None, None])
         others = others.at[..., 0].add(log_prior[:, :1])
         others = jax.nn.log_softmax(others, where=np.isin(np.arange(count), holds, invert=True))
         none_held = 1.0 - jnp.sum(jnp.exp(held), axis=-1, keepdims=True)
         others = others[:, :, None] + jnp.log(jnp.maximum(none_held, _SMALLEST))
         least = self.min_transition * jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])
         return _bounded_softmax(others.at[..., holds].set(held), least[:, None, None])
-
-    @property
-    def log_density(self) -> Float[Array, ""]:
-        """Of the odds by age: neighbours differ by about 1."""
-        steps = jnp.diff(_PACE * self.odds, axis=1)
-        return -0.5 * jnp.sum(steps**2)
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]

@@ -105,7 +105,6 @@ class ExpectationMaximisation(Objective):
         params, static = eqx.partition(state.model, eqx.is_inexact_array)
         # A half of the windows is predicted from their first states, as soon as that counts.
         rolled_out = (jnp.arange(config.batch_size) % 2 == 1) & joined
-        share = _CLASSIFIED / jnp.sum(jnp.any(data.source.weight > 0, axis=1))
 
         def loss(
             params: PyTree,
@@ -116,7 +115,7 @@ class ExpectationMaximisation(Objective):
         ) -> tuple[Array, LossTerms]:
             model = eqx.combine(params, static)
             terms = dynamics_loss(model, windows, of_windows, rolled_out)
-            likelihood = transition_loss(model, trajectories, of_trajectories, share)
+            likelihood = transition_loss(model, trajectories, of_trajectories)
             terms = replace(terms, likelihood=likelihood)
             return terms.total(config.weights), terms
 
@@ -217,20 +216,15 @@ def transition_loss(
     model: ContactDynamics,
     trajectories: TrajectoryBatch[Array],
     evidence: MotionEvidence,
-    share: Float[Array, ""] | float = 1.0,
 ) -> Float[Array, ""]:
-    """Mean cross-entropy of the transitions of edges within the cutoff, nat; only they learn.
-
-    The trajectories are a ``share`` of all data, and have as much of the parameters' prior.
-    """
+    """Mean cross-entropy of the transitions of edges within the cutoff, nat; only they learn."""
     graph = encode_evidence(model, trajectories, evidence)
     transitions = jax.vmap(jax.vmap(model.transitions))(graph)
     cross = -jnp.sum(
         evidence.flow * jnp.log(jnp.maximum(transitions, _SMALLEST)), axis=(-3, -2, -1)
     )
     counted = (graph.weight > 0) & trajectories.step_mask[..., None]
-    prior = share * model.inference.log_density / jnp.maximum(jnp.sum(counted), 1)
-    return masked_mean(cross, counted) - prior
+    return masked_mean(cross, counted)
 
 
 def steps_of_types(
