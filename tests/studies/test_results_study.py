@@ -108,7 +108,7 @@ def test_cells_by_hand(tmp_path: Path) -> None:
 
     result = result_of(tmp_path, values=values)
     assert shown(result)["pickup"] == [
-        *("**0.2 (0.1 to 0.4)**", "0.4", "5", "2", "1", "-", "5.73", "0.9", "0.03"),
+        *("**0.2 (0.1 to 0.4)**", "0.4", "5", "2", "1", "5.73", "0.9", "0.03"),
         *("100, 97, 50 % of the same 100 (median: 91.5 to 99)", "95 % of 20 (76.4 to 99.1)"),
         *("-", "1.5", "61"),
     ]
@@ -140,7 +140,7 @@ def test_the_smallest_learned_error_is_bold_and_hidden_holds_are_measured_under_
     assert shown(result)["release"][:5] == ["**0.2**", "0.4", "5", "2", "1"]
     row = next(csv.DictReader(io.StringIO(result.tables[0].csv())))
     names = ("forced_cm", "forced_prior_hold_cm", "prior_touch_cm", "prior_hold_success_percent")
-    assert [row[f"{name}_median"] for name in names] == ["0.3", "0.1", "0.2", "97"]
+    assert [row[f"{name}_median"] for name in names] == ["0.3", "0.1", "0.2", "95.0"]
 
 
 def test_empty_cells_have_a_reason(tmp_path: Path) -> None:
