@@ -231,10 +231,11 @@ def test_the_closest_approach_prior_is_sharp_at_the_contact_distance(touch: floa
         return float(prior(dataclasses.replace(edges, contact_distance=jnp.full(1, touch)))[0])
 
     assert at(1.003) == pytest.approx(0.5, abs=1e-4)
-    expected = 0.01 + 0.98 / (1 + np.exp(-2 * 0.001 / 0.002))
+    expected = 1e-4 + 0.9998 / (1 + np.exp(-2 * 0.001 / 0.002))
     assert at(1.002) == pytest.approx(expected, abs=1e-4)
     assert at(1.0) > 0.9 and at(1.01) < 0.02
-    assert at(0.2) == pytest.approx(0.99, abs=1e-6) and at(5.0) == pytest.approx(0.01, abs=1e-6)
+    assert at(0.2) == pytest.approx(0.9999, abs=1e-6)
+    assert at(5.0) == pytest.approx(1e-4, abs=1e-6)
 
 
 def test_the_closest_approach_prior_covers_the_whole_next_step() -> None:

@@ -314,7 +314,7 @@ def test_places_that_are_known_are_not_found_again() -> None:
 def test_a_turned_scene_moves_as_the_scene_does() -> None:
     whole, shift = Rotation.from_rotvec([0.3, -0.8, 0.5]), np.array([0.3, -0.1, 0.2])
     position = np.array([[0.0, 0.0, 0.0], [0.105, 0.01, 0.012]])
-    velocity = np.array([[0.8, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    velocity = np.array([[1.2, 0.0, 0.0], [0.0, 0.0, 0.0]])
     turn = Rotation.from_rotvec([[0.1, 0.0, 0.0], [0.0, 0.3, 0.2]])
     rate = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 2.0]])
     nodes = scene_nodes(scene([BOX, BOX]))
