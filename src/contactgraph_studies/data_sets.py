@@ -108,7 +108,7 @@ class Amounts:
     searched_episodes: int
     """The same of tasks whose starts are searched, and of simulated arms."""
     baselines: bool
-    """Whether least squares and a network are fitted, and scripts are measured."""
+    """Whether least squares, a network, scripts and all variants of hidden holds are measured."""
     training_options: Options = ()
 
     @property
@@ -214,7 +214,7 @@ def _of(data: DataSet, seed: int, amounts: Amounts) -> Iterator[Measurement]:
                 yield measured(scenes, Source.baselines, job)
         if data.controlled:
             yield measured(scenes, Source.mpc, training.control(scenes))
-        for source, variant in _VARIANTS.items() if data.hidden else ():
+        for source, variant in _VARIANTS.items() if data.hidden and amounts.baselines else ():
             if source.startswith("mpc"):
                 yield measured(scenes, source, training.control(scenes, variant))
             else:
