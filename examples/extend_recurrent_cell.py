@@ -36,7 +36,7 @@ class LeakyEdges(EdgeInference):
     leak: jax.Array
     edge_types: tuple[EdgeType, ...] = eqx.field(static=True, default=(HOLD,))
 
-    def embed(self, node, edge, weight, edge_index):
+    def embed(self, node, edge, weight, edge_index, **step):
         """Scores [E, K] of the edge types, from the messages along every edge."""
         _, message = self.messages(node, edge, weight, edge_index)
         return jax.vmap(self.output)(message[0] + message[1])

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from control_models import StickyBodies, nodes_of, state_of
 
-from contactgraph.control import ILQR, AffinePolicy, ControlLimits, SearchILQR, chain_cost
+from contactgraph.control import (
+    ILQR,
+    AffinePolicy,
+    ControlLimits,
+    SearchILQR,
+    avoid,
+    chain_cost,
+)
 from contactgraph.control.approaches import Approach
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.search import _Scene
@@ -89,7 +96,7 @@ def test_a_body_at_its_goal_is_left_alone():
 @eqx.filter_jit
 def aims(model, begin, nodes):
     """Goals, aims and turns of 16 starts."""
-    return _Scene.of(model, begin, nodes, COST).pairs(16)[3:]
+    return _Scene.of(model, begin, nodes, COST).pairs(16)[2:]
 
 
 @pytest.mark.parametrize(("bounce_raw", "images"), [(0.0, 0), (0.5, 4)])
@@ -127,7 +134,9 @@ def test_a_hand_moves_as_an_approach_wants(wall):
     begin = state([0.0, 0.5], [0.3, 0.0])
     nodes = scene_nodes(dataclasses.replace(SCENE, planes=np.array([[0.0, -1.0, -wall]])))
     approach = made(direction=[1.0, 0.0], travel=0.2)
-    wanted, _ = approach.wanted(begin.position, False, begin.position, jnp.asarray(REACH), DT)
+    wanted, _ = approach.wanted(
+        begin.position, begin.velocity, False, begin.position, jnp.asarray(REACH), DT
+    )
     controls, cost, after = followed(model(), begin, nodes, approach)
     np.testing.assert_allclose(after.velocity[0, 0], wanted, atol=0.02)
     x = jnp.stack([after.position, after.velocity], axis=2)
@@ -153,7 +162,7 @@ def test_approaches_in_lanes_end_as_they_do_one_by_one():
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-8)
 
 
-def made(direction, travel=1.0, dimension=2, grasps=False, commands=0, swerve=None):
+def made(direction, travel=1.0, dimension=2, grasps=False, commands=0, swerve=None, by_touch=False):
     return Approach(
         hand=jnp.asarray(0),
         body=jnp.asarray(1),
@@ -165,7 +174,8 @@ def made(direction, travel=1.0, dimension=2, grasps=False, commands=0, swerve=No
         swerve=jnp.asarray(swerve or [0.0] * dimension),
         approach_speed=jnp.asarray(1.0),
         goal=jnp.full(dimension, 0.5),
-        grasps=jnp.asarray(grasps),
+        grasps=jnp.asarray(grasps or by_touch),
+        by_touch=jnp.asarray(by_touch),
         command=jnp.array([[1.0], [-1.0]])[:, :commands],
     )
 
@@ -186,7 +196,9 @@ def walk(approach, hand, body, steps):
     begin, path = np.stack([hand, body]), [np.asarray(hand)]
     for _ in range(steps):
         now = jnp.asarray(np.stack([path[-1], body]))
-        path.append(path[-1] + DT * np.asarray(approach.wanted(now, False, begin, REACH, DT)[0]))
+        path.append(
+            path[-1] + DT * np.asarray(approach.wanted(now, 0.0 * now, False, begin, REACH, DT)[0])
+        )
     return np.array(path)
 
 
@@ -211,7 +223,7 @@ def test_a_push_ends_where_it_should_and_no_travel_is_to_stay():
     begin = jnp.array([[-0.1, 0.0], [0.0, 0.0]])
     for travel, now in ((0.2, at_end), (0.0, begin)):
         approach = made([1.0, 0.0], travel)
-        assert not np.any(approach.wanted(now, False, begin, jnp.asarray(REACH), DT)[0])
+        assert not np.any(approach.wanted(now, 0.0 * now, False, begin, REACH, DT)[0])
 
 
 def test_a_grasp_closes_inside_the_body_and_takes_it_to_its_goal_once_it_holds():
@@ -227,7 +239,7 @@ def test_a_grasp_closes_inside_the_body_and_takes_it_to_its_goal_once_it_holds()
 
     def wanted(hand, held):
         now = jnp.asarray(np.stack([hand, body]))
-        return grasp.wanted(now, held, begin, REACH, DT)
+        return grasp.wanted(now, 0.0 * now, held, begin, REACH, DT)
 
     assert wanted(path[0], False)[1] == 1.0
     assert wanted(path[-1], False)[1] == -1.0
@@ -235,7 +247,30 @@ def test_a_grasp_closes_inside_the_body_and_takes_it_to_its_goal_once_it_holds()
     assert command == -1.0
     np.testing.assert_allclose(velocity, np.full(3, 1.0 / np.sqrt(3.0)), rtol=1e-3)
     push = made([1.0, 0.0, 0.0], dimension=3, commands=1)
-    assert push.wanted(jnp.asarray(begin), False, begin, REACH, DT)[1] == -1.0
+    still = jnp.zeros((2, 3))
+    assert push.wanted(jnp.asarray(begin), still, False, begin, REACH, DT)[1] == -1.0
+
+
+def test_a_grasp_by_touch_presses_a_moving_body_until_it_holds_it():
+    """At a velocity relative to the body's own; then it takes the body to its goal."""
+    grasp = made([1.0, 0.0], by_touch=True)
+    begin, velocity = jnp.array([[-REACH, 0.0], [0.0, 0.0]]), jnp.array([[0.2, 0.3], [0.2, 0.3]])
+
+    def wanted(held):
+        return np.asarray(grasp.wanted(begin, velocity, held, begin, REACH, DT)[0])
+
+    pressing = wanted(False) - np.asarray(velocity[1])
+    assert 0.1 < pressing[0] <= 0.4 + 1e-6 and pressing[1] == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(wanted(True), np.full(2, 1.0 / np.sqrt(2.0)), rtol=1e-3)
+
+
+def test_a_search_knows_costs_of_contacts():
+    """A touch that costs more than the way to the goal is left alone."""
+    cost = dataclasses.replace(COST, contacts=(avoid([(0, 1)], 1e6),))
+    plan = planned(PLANNER, model(), state([-0.3, 0.0], [-0.15, 0.0]), cost, IDLE)
+    assert np.asarray(plan.beliefs.contact).max() < 0.01
+    with_touch = solve(PLANNER, state([-0.3, 0.0], [-0.15, 0.0]))
+    assert np.asarray(with_touch.beliefs.contact).max() > 0.5
 
 
 @cache

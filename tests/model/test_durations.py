@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from model_scenes import DT, assert_same, compiled, nodes_of, with_random_weights
 
-from contactgraph.data import InvalidInputError
+from contactgraph.data import InvalidInputError, Scene
 from contactgraph.inference.contact_belief import (
     nothing_active,
     posterior_by_motion,
@@ -21,6 +21,7 @@ from contactgraph.large_scenes import NeighborList
 from contactgraph.model import (
     HOLD,
     TOUCH,
+    ActuationFit,
     ContactBelief,
     ContactDynamics,
     ContactSensor,
@@ -30,6 +31,7 @@ from contactgraph.model import (
     ModelState,
     correct,
     ours,
+    scene_nodes,
     usual_edge_types,
 )
 
@@ -39,7 +41,7 @@ LEAST, AGES = 2e-3, 44
 pytestmark = pytest.mark.usefixtures("double_precision")
 
 
-EMBEDDING = jnp.asarray(np.random.default_rng(0).normal(size=(1, 10)))
+EMBEDDING = jnp.asarray(np.random.default_rng(0).normal(size=(1, 8))).at[0, -3].set(0.0)
 PRIOR = np.array([[0.5, 0.3, 0.2]])
 
 
@@ -47,7 +49,7 @@ def edges(seed: int | None = None, edge_types: tuple[EdgeType, ...] = (TOUCH, HO
     """Fresh, or with random weights."""
 
     def construct() -> DurationEdges:
-        return DurationEdges(8, node_types=2, edge_types=edge_types, key=jax.random.PRNGKey(1))
+        return DurationEdges((False, False), edge_types)
 
     return construct() if seed is None else with_random_weights(construct, seed)
 
@@ -58,7 +60,7 @@ def belief(*types: float) -> ContactBelief:
 
 def test_before_training_geometry_decides_what_begins_and_a_hold_lasts() -> None:
     def of_gap(gap: float) -> np.ndarray:
-        apart, prior = jnp.zeros((1, 10)).at[0, -1].set(gap), jnp.array([[0.5, 0.25, 0.25]])
+        apart, prior = jnp.zeros((1, 8)).at[0, -1].set(gap), jnp.array([[0.5, 0.25, 0.25]])
         return np.asarray(compiled(edges().transitions, apart, prior))[0, :, 3]
 
     found = of_gap(0.001)
@@ -71,7 +73,7 @@ def test_before_training_geometry_decides_what_begins_and_a_hold_lasts() -> None
 
 def test_what_is_free_or_touches_at_rest_stays_so_and_an_approach_begins_a_touch() -> None:
     touching = jnp.array([[0.02, 0.49, 0.49]])
-    rests, approaches = jnp.zeros((1, 10)), jnp.zeros((1, 10)).at[0, -2].set(1.0)
+    rests, approaches = jnp.zeros((1, 8)), jnp.zeros((1, 8)).at[0, -2].set(1.0)
     at_rest, after = (compiled(edges().transitions, each, touching) for each in (rests, approaches))
     assert at_rest[0, 0, 0, 0] > 0.9 > 0.1 > after[0, 0, 0, 0]
     assert at_rest[0, 1, 0, 0] < 0.01 and after[0, 1, 0, 0] < 0.01
@@ -95,7 +97,7 @@ def test_odds_beyond_the_least_transition_can_return() -> None:
         inference = eqx.tree_at(
             lambda each: each.odds, edges(), replace_fn=lambda old: odds + 0 * old
         )
-        return jnp.log(inference.transitions(jnp.zeros((1, 10)), PRIOR)[0, 1, 0, 2])
+        return jnp.log(inference.transitions(jnp.zeros((1, 8)), PRIOR)[0, 1, 0, 2])
 
     value, slope = compiled(jax.value_and_grad(begins), -4.0)
     np.testing.assert_allclose(value, np.log(0.5 * LEAST), rtol=1e-6)
@@ -162,8 +164,29 @@ def test_the_longest_age_stands_for_all_longer_ones() -> None:
     np.testing.assert_allclose(found.sum(), 1.0)
 
 
-def test_no_force_changes_the_odds_of_a_hold_and_a_switch_does() -> None:
-    """What a planner intends is no evidence of contact; geometry may see whether bodies meet."""
+def test_a_strong_pull_ends_a_hold_at_any_age_and_a_weak_one_does_not() -> None:
+    """`strength` is where half of them end, and how suddenly."""
+    inference = edges(seed=2)
+    limit = jnp.log(jnp.array([0.05, 8.0])) / 10.0
+    strength = jnp.broadcast_to(limit[:, None, None], inference.strength.shape)
+    inference = eqx.tree_at(lambda each: each.strength, inference, strength)
+
+    def lasts(pull: float) -> np.ndarray:
+        embedding = EMBEDDING.at[0, -3].set(pull)
+        return np.asarray(compiled(inference.transitions, embedding, jnp.asarray(PRIOR)))[0, 2]
+
+    still = lasts(0.0)
+    np.testing.assert_array_equal(lasts(-1.0), still)
+    np.testing.assert_allclose(lasts(0.005)[:, 2], still[:, 2], rtol=1e-3)
+    np.testing.assert_allclose(lasts(0.05)[:, 2], 0.5 * still[:, 2], atol=LEAST)
+    assert lasts(0.5)[:, 2].max() < 2.0 * LEAST
+    np.testing.assert_allclose(lasts(0.5).sum(axis=-1), 1.0)
+
+
+def test_no_force_but_a_pull_changes_the_odds_of_a_hold_and_a_switch_does() -> None:
+    """What a planner intends is no evidence of contact; geometry may see whether bodies meet. A
+    pull of an actuated body away from the other one makes a hold less likely, and no other force.
+    """
     config = ModelConfig(2, 3, DT, width=8, driving_size=2)
     model = with_random_weights(lambda: ours(config, key=jax.random.PRNGKey(0)))
     distance = float(model.features.contact_distance)
@@ -177,9 +200,26 @@ def test_no_force_changes_the_odds_of_a_hold_and_a_switch_does() -> None:
 
     for gap in (0.0, 0.05):
         still = compiled(odds, gap, 0.0, 0.0, 0.0)
-        for force in ((5.0, 0.0), (-5.0, 3.0)):
+        for force in ((5.0, 0.0), (0.0, 5.0)):
             np.testing.assert_allclose(compiled(odds, gap, *force, 0.0), still, atol=1e-9)
+        assert np.all(compiled(odds, gap, -5.0, 3.0, 0.0) <= still + 1e-9)
+        assert np.ptp(compiled(odds, gap, -50.0, 0.0, 0.0) - still) > 1e-3
         assert np.abs(compiled(odds, gap, 0.0, 0.0, 1.0) - still).max() > 1e-3
+
+
+def test_the_pull_of_a_servo_is_not_known() -> None:
+    """Whatever its command: see `DurationEdges.servos`."""
+    servo = ActuationFit(60.0 * np.eye(2), np.zeros(2), 0.0, 60.0, residual=0.0)
+    types, position = ("object", "hand"), jnp.array([[0.0, 0.0], [0.0, 0.08]])
+    nodes = scene_nodes(Scene(types[::-1], types[::-1], np.array([True, False]), DT))
+
+    def pull(actuation: dict[str, ActuationFit]) -> float:
+        config = ModelConfig(2, 2, DT, width=8, node_types=types, actuation=actuation)
+        model = ours(config, key=jax.random.PRNGKey(0))
+        graph = compiled(model.encode, position, 0 * position, jnp.array([0, -9.0]), nodes, NOTHING)
+        return float(graph.embedding[0, -3])
+
+    assert pull({"hand": servo}) == 0.0 < pull({})
 
 
 def test_motion_corrects_three_types_by_bayes_rule() -> None:

@@ -130,6 +130,7 @@ class Control:
         Returns a function that gives the first episode, with its plans, a name to draw it under.
         """
         from contactgraph.cli.control_output import not_predicted
+        from contactgraph.cli.known_tasks import HIDDEN_HOLD_STARTS
         from contactgraph.cli.models import (
             data_simulator,
             motion_evidence,
@@ -180,7 +181,8 @@ class Control:
         model = with_inference(stored_model(self.model), self.inference)
         starts = self.starts
         if starts is None:
-            starts = known.starts if searches(model) and not routes + self.segment else 0
+            starts = HIDDEN_HOLD_STARTS if self.hidden_switch else known.starts
+            starts = starts if searches(model) and not routes + self.segment else 0
         asked, ignored = self.infer_contacts, self.ignore_motion
         by_motion = motion_evidence(model, asked, ignored, noise.position, noise.velocity)
         first: list[EpisodeRecord] = []

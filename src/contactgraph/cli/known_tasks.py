@@ -51,6 +51,10 @@ def _passive(make: Callable[[], Task], summary: str) -> KnownTask:
     )
 
 
+HIDDEN_HOLD_STARTS = 32
+"""Where a touch may have to last to become a hold."""
+
+
 def _hidden_hold(
     make: Callable[..., Task], expert: Callable[..., Policy], summary: str
 ) -> KnownTask:
@@ -61,6 +65,7 @@ def _hidden_hold(
         partial(expert, noise=0.0),
         explorer=HandlingPolicy,
         exploration=0.5,
+        starts=HIDDEN_HOLD_STARTS,
         summary=summary,
         conditions=(AS_TRAINED, THREE_DISTRACTORS),
     )
@@ -171,6 +176,7 @@ TASKS = {
             SuctionExpert,
             "a suction gripper takes an object to a goal and puts it down",
         ),
+        starts=0,  # a plan of switches takes none
         max_force=None,
     ),
     "release": _hidden_hold(

@@ -25,9 +25,9 @@ _BEHIND = 0.87
 """Cosine of the angle to the line of the push within which it goes straight behind the body."""
 _BESIDE = 0.5
 """Contact distances beside the line of a push at which the push has slid off."""
-_ALIGNED, _GRASPED, _LOST = 0.3, 0.3, 0.5
+_ALIGNED, _GRASPED, _LOST, _PARTED = 0.3, 0.3, 0.5, 1.5
 """Contact distances beside the line of a grasp within which the hand goes on to the body; from the
-body within which it closes; and beyond which it holds nothing, whatever the belief says."""
+body within which it closes; and beyond which it, or its touch, holds nothing, believed or not."""
 _GAIN = 0.25
 """Part of a distance that is to be covered in a step."""
 _TINY = 1e-9
@@ -37,7 +37,7 @@ class Approach(eqx.Module):
     """One approach, or a batch of ``S``: which way, from where, how far beside, how fast, how far.
 
     A grasp goes on to the middle of the body, gives the command there, and takes the body to its
-    goal once it holds it.
+    goal once it holds it. One by touch presses the body until it holds it.
     """
 
     hand: Int[Array, "*S"]
@@ -63,6 +63,8 @@ class Approach(eqx.Module):
     goal: Float[Array, "*S D"]
     """m; of the body."""
     grasps: Bool[Array, "*S"]
+    by_touch: Bool[Array, "*S"]
+    """Whether a touch grasps, not fingers round the body; the hand then moves relative to it."""
     command: Float[Array, "*S 2 C"]
     """What components of the control that move nothing are while a body is not grasped, and when
     it is; a push has the second throughout."""
@@ -74,6 +76,7 @@ class Approach(eqx.Module):
     def wanted(
         self,
         position: Float[Array, "N G"],
+        velocity: Float[Array, "N G"],
         held: Bool[Array, ""],
         begin: Float[Array, "N G"],
         contact_distance: Float[Array, ""],
@@ -112,11 +115,13 @@ class Approach(eqx.Module):
         inside = self.grasps & (_length(offset) < _GRASPED * contact_distance)
         near_line = jnp.where(self.grasps, _ALIGNED, _BESIDE) * contact_distance
         ready = (back > 0.0) & (_length(beside) < near_line) | inside
-        carries = self.grasps & held & (_length(offset) < _LOST * contact_distance)
-        velocity = jnp.where(self.grasps | (missing > 0.0), jnp.where(ready, pushing, going), 0.0)
+        lost = jnp.where(self.by_touch, _PARTED, _LOST) * contact_distance
+        carries = self.grasps & held & (_length(offset) < lost)
+        wanted = jnp.where(self.grasps | (missing > 0.0), jnp.where(ready, pushing, going), 0.0)
+        wanted += jnp.where(self.by_touch, velocity[self.body, : len(along)], 0.0)
         carrying = _slower(_GAIN * (self.goal - at) / dt, self.approach_speed)
         command = self.command[jnp.where(self.grasps & ~carries & ~inside, 0, 1)]
-        return jnp.where(carries, carrying, velocity), command
+        return jnp.where(carries, carrying, wanted), command
 
 
 class Draws(eqx.Module):
@@ -138,22 +143,21 @@ class Draws(eqx.Module):
         vectors = jax.random.normal(of_vectors, (3, count, dimension))
         numbers = jax.random.normal(of_numbers, (4, count))
         chosen = jax.random.normal(of_commands, (count, commands))
-        direction, aside, swerve = vectors
-        speed, travel, run_up, approach_speed = numbers
-        return cls(direction, aside, swerve, speed, travel, run_up, approach_speed, chosen)
+        return cls(*(*vectors, *numbers, chosen))
 
 
 def spread_approaches(
     draws: Draws,
     hand: Int[Array, " S"],
     body: Int[Array, " S"],
-    position: Float[Array, "S D"],
     goal: Float[Array, "S D"],
     aim: Float[Array, "S D"],
     turn: Float[Array, " S"],
+    position: Float[Array, "N D"],
     top_speed: float,
     up: Float[Array, " D"],
     commands: tuple[Float[Array, " C"], Float[Array, " C"]],
+    touch_holds: bool,
 ) -> Approach:
     """Approaches of all sides, every second one near the line to the goal; the first one stays.
 
@@ -162,31 +166,38 @@ def spread_approaches(
     ``up`` all others are grasps, from above: pushing with fingers is seldom seen in what a model
     learned from.
 
-    ``position``, ``goal`` and ``aim``: [m] of each body, and where to push it, which is the goal or
-    an image of it; ``turn`` [m]: how far it is to turn, which takes pushes from any side; ``up``: a
-    unit vector along which none pushes, or zeros; ``commands``: least and greatest value of each.
+    ``goal`` and ``aim``: [m] of each body, and where to push it, which is the goal or an image of
+    it; ``turn`` [m]: how far it is to turn, which takes pushes from any side; ``position``: [m];
+    ``up``: a unit vector along which none pushes, or zeros; ``commands``: least and greatest value
+    of each; ``touch_holds``: whether a touch may hold, which every fourth one then tries.
     """
-    missing = aim - position
+    missing = aim - position[body]
     distance = jnp.sqrt(_length(missing) ** 2 + turn**2)
     grasps = (jnp.arange(len(hand)) > 0) & jnp.any(up != 0.0) & (draws.command.shape[1] > 0)
+    by_touch = (jnp.arange(len(hand)) % 4 == 2) & touch_holds
     high = jnp.where(draws.command > 0.0, commands[1], commands[0])
     banked = jnp.any(aim != goal, axis=-1)[:, None]
     wide = jnp.where(jnp.arange(len(hand)) % 2 == 0, 1.0, 0.25)[:, None]
     wide = jnp.where(banked, _BANKED, wide)
     direction = missing / distance[:, None] + wide * draws.direction
+    straight = _unit(position[body] - position[hand]) + wide * draws.direction
+    direction = jnp.where(by_touch[:, None], straight, direction)
     travel = distance * jnp.exp(0.3 * draws.travel)
     return Approach(
         hand=hand,
         body=body,
         direction=jnp.where(grasps[:, None], -up, _unit(_level(direction, up))),
-        aside=jnp.where(grasps[:, None], 0.0, jnp.where(banked, _BANKED, 0.3) * draws.aside),
+        aside=jnp.where(
+            (grasps | by_touch)[:, None], 0.0, jnp.where(banked, _BANKED, 0.3) * draws.aside
+        ),
         speed=_FASTEST * top_speed * jnp.exp(-2.9 * jax.scipy.stats.norm.cdf(draws.speed)),
         travel=travel.at[0].set(0.0),
         run_up=_STAND_OFF * jnp.exp(jax.scipy.stats.norm.cdf(draws.run_up)),
         swerve=jnp.where((jnp.arange(len(hand)) % 4 < 2)[:, None], 0.0, draws.swerve),
         approach_speed=top_speed * jnp.exp(-jax.scipy.stats.norm.cdf(draws.approach_speed)),
         goal=goal,
-        grasps=grasps,
+        grasps=grasps | by_touch,
+        by_touch=by_touch,
         command=jnp.stack([commands[0] + commands[1] - high, high], axis=1),
     )
 
@@ -194,11 +205,11 @@ def spread_approaches(
 def varied_approaches(draws: Draws, approaches: Approach, up: Float[Array, " D"]) -> Approach:
     """As many approaches near the given ones, of which there are fewer, as there are draws."""
     of = approaches.at(jnp.arange(len(draws.speed)) % len(approaches.speed))
-    turns = ~of.grasps[:, None]
+    turns = (~of.grasps | of.by_touch)[:, None]
     return dataclasses.replace(
         of,
         direction=of.direction + turns * _level(0.15 * draws.direction, up),
-        aside=of.aside + 0.1 * turns * draws.aside,
+        aside=of.aside + 0.1 * ~of.grasps[:, None] * draws.aside,
         speed=of.speed * jnp.exp(0.2 * draws.speed),
         travel=of.travel * jnp.exp(0.15 * draws.travel),
         run_up=of.run_up * jnp.exp(0.1 * draws.run_up),

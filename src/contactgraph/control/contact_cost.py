@@ -1,5 +1,6 @@
 """Costs of contacts that a plan is to make, keep or avoid: of beliefs, and of distances."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol
@@ -83,11 +84,14 @@ class _OfPairs(eqx.Module):
         apart = position[:, self.pairs[:, 0]] - position[:, self.pairs[:, 1]]
         return jnp.sqrt(jnp.sum(apart**2, axis=-1) + _TINY**2), apart
 
-    def _squared(
-        self, residual: Array, slope: Array, weight: Array, states: Array, node_ids: Array
-    ) -> tuple[Array, Array]:
-        """``Q`` and ``q`` of ``weight * residual^2`` [H+1, P], whose ``slope`` [H+1, P, D] is with
-        respect to the first body's position."""
+    def expanded(
+        self,
+        states: Float[Array, "H+1 N 2 G"],
+        beliefs: ContactBelief,
+        node_ids: Int[Array, " M"],
+    ) -> tuple[Float[Array, "H+1 m m"], Float[Array, "H+1 m"]]:
+        """See `ContactCost`."""
+        residual, slope, weight = self._residual(states, beliefs)
         is_first = self.pairs[:, 0, None] == node_ids
         J = jnp.where(is_first[..., None], slope[:, :, None, :], 0.0)
         more = states.shape[-1] - self.dimension
@@ -97,6 +101,11 @@ class _OfPairs(eqx.Module):
         weighted = weight[..., None] * J
         rest = residual - jnp.einsum("tpi,ti->tp", J, x)
         return jnp.einsum("tpi,tpj->tij", weighted, J), jnp.einsum("tpi,tp->ti", weighted, rest)
+
+    @abstractmethod
+    def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
+        """``r`` [H+1, P] of the cost ``weight * r^2``, its slope [H+1, P, D] with respect to the
+        first body's position, and the weight [H+1, P]."""
 
 
 class BeliefCost(_OfPairs):
@@ -129,18 +138,10 @@ class BeliefCost(_OfPairs):
         """The cost of each step; none of the last state, about which there is no belief."""
         return jnp.sum(self._costs(states, beliefs)[0], axis=-1)
 
-    def expanded(
-        self,
-        states: Float[Array, "H+1 N 2 G"],
-        beliefs: ContactBelief,
-        node_ids: Int[Array, " M"],
-    ) -> tuple[Float[Array, "H+1 m m"], Float[Array, "H+1 m"]]:
-        """See `ContactCost`."""
+    def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
         costs, length, apart = self._costs(states, beliefs)
         away = jnp.where(self.kind == _AVOID, -1.0, 1.0) / length**2
-        return self._squared(
-            jnp.ones_like(length), away[..., None] * apart, costs, states, node_ids
-        )
+        return jnp.ones_like(length), away[..., None] * apart, costs
 
     def _costs(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
         """[H+1, P], and what `_apart` gives."""
@@ -180,18 +181,11 @@ class DistanceCost(_OfPairs):
         """The cost of each state, whatever is believed."""
         return jnp.sum(self.weight * self._missing(self._apart(states)[0]) ** 2, axis=-1)
 
-    def expanded(
-        self,
-        states: Float[Array, "H+1 N 2 G"],
-        beliefs: ContactBelief,
-        node_ids: Int[Array, " M"],
-    ) -> tuple[Float[Array, "H+1 m m"], Float[Array, "H+1 m"]]:
-        """See `ContactCost`."""
+    def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
         length, apart = self._apart(states)
         missing = self._missing(length)
         slope = jnp.where((missing > 0.0)[..., None], -apart / length[..., None], 0.0)
-        weight = jnp.broadcast_to(self.weight, missing.shape)
-        return self._squared(missing, slope, weight, states, node_ids)
+        return missing, slope, jnp.broadcast_to(self.weight, missing.shape)
 
     def _missing(self, length: Array) -> Array:
         return jax.nn.relu(self.distance - length)

@@ -46,12 +46,6 @@ def searches(model: StepModel) -> bool:
     return isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
 
 
-def _commands(model: StepModel) -> int:
-    """Number of the last components of the control, which move nothing, such as a gripper's."""
-    assert isinstance(model, ContactDynamics)
-    return model.inference.commands
-
-
 _ELITES = 8
 """Approaches that the next round varies."""
 _LEVEL, _ELASTIC = 0.1, 0.3
@@ -103,7 +97,8 @@ class SearchILQR(ILQR):
                 f"{type(model).__name__}"
             )
         quadratic, guess = self.prepared(model, state, cost, guess)
-        commands = _commands(model)
+        assert isinstance(model, ContactDynamics)
+        commands = model.inference.commands
         size = quadratic.control_size
         # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.
         planner = dataclasses.replace(
@@ -139,7 +134,7 @@ class SearchILQR(ILQR):
         position = scene.state.position
         bits = jax.lax.bitcast_convert_type(position.astype(jnp.float32), jnp.uint32)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), self.rounds)
-        commands = scene.commands
+        commands = scene.model.inference.commands
         draws = [Draws.of(key, self.starts, scene.model.dimension, commands) for key in keys]
         bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
@@ -152,8 +147,14 @@ class SearchILQR(ILQR):
             return controls, costs + self._switching(before, controls)
 
         up = against_gravity(scene.nodes, scene.model.dimension)
+        holds = any(each.holds for each in scene.model.inference.edge_types)
         approaches = spread_approaches(
-            draws[0], *scene.pairs(self.starts), scene.speed, up, (most[0], most[1])
+            *(draws[0], *scene.pairs(self.starts)),
+            position=position[:, : scene.model.dimension],
+            top_speed=scene.speed,
+            up=up,
+            commands=(most[0], most[1]),
+            touch_holds=holds and not commands,
         )
         controls, costs = tried(approaches)
         for again in draws[1:]:
@@ -194,14 +195,9 @@ class _Scene(eqx.Module):
             reach=level_reach(nodes, state.position, model.features.turn_length),
         )
 
-    @property
-    def commands(self) -> int:
-        """Number of components of the control that move nothing."""
-        return _commands(self.model)
-
-    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Actuated nodes [S], each with one that it may move, in turn; that one's position, goal
-        and aim [S, D], m: every second one's is an image of the goal in one wall after another, if
+    def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
+        """Actuated nodes [S], each with one that it may move, in turn; that one's goal and aim
+        [S, D], m: every second one's is an image of the goal in one wall after another, if
         the body bounces off walls; and how far it is to turn, m."""
         nodes, number = self.nodes, len(self.state.position)
         wanted = nodes.passive
@@ -218,10 +214,10 @@ class _Scene(eqx.Module):
         weight = jnp.diagonal(self.cost.over(1)[0][-1]).reshape(number, 2, -1)[body, 0]
         turn = jnp.where(weight > 0.0, jnp.abs(goal - position), 0.0)[:, self.model.dimension :]
         turn = jnp.sum(turn, axis=-1)
-        position, goal = (each[:, : self.model.dimension] for each in (position, goal))
+        goal = goal[:, : self.model.dimension]
         head = getattr(self.model.local_dynamics, "head", None)
         if nodes.planes is None or not len(nodes.planes) or not isinstance(head, ContactLaw):
-            return hand, body, position, goal, goal, turn
+            return hand, body, goal, goal, turn
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
         start = np.arange(count)
         wall = nodes.planes[start // 2 % len(nodes.planes)]
@@ -229,7 +225,7 @@ class _Scene(eqx.Module):
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
         banked = (start % 2 == 1) & (jnp.abs(normal @ up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
-        return hand, body, position, goal, jnp.where(banked[:, None], image, goal), turn
+        return hand, body, goal, jnp.where(banked[:, None], image, goal), turn
 
     def follow(
         self, approach: Approach, planner: ILQR
@@ -245,10 +241,10 @@ class _Scene(eqx.Module):
         distance += jnp.sum(jax.nn.relu(self.reach[edge] - 0.5 * features.length))
         free = jax.tree.map(lambda leaf: leaf[hand], self.free)
 
-        def step(state: ModelState, _: None) -> tuple[ModelState, tuple[Array, Array]]:
+        def step(state: ModelState, _: None) -> tuple[ModelState, tuple]:
             holding = state.belief.over(None, len(self.nodes.candidate)).holding[held] > 0.5
             wanted, command = approach.wanted(
-                state.position, holding, begin, distance, self.model.dt
+                state.position, state.velocity, holding, begin, distance, self.model.dt
             )
             x = jnp.stack([state.position[hand], state.velocity[hand]], axis=-1)
             drift = free.offset + jnp.sum(free.A * x, axis=-1)
@@ -256,9 +252,10 @@ class _Scene(eqx.Module):
             control = control.at[len(control) - len(command) :].set(command)
             control = control if planner.limits is None else planner.limits(control)
             after = take_step(self.model, state, control, self.nodes)[0]
-            return after, (jnp.stack([after.position, after.velocity], axis=1), control)
+            moved = jnp.stack([after.position, after.velocity], axis=1)
+            return after, (moved, control, after.belief)
 
-        _, (moved, controls) = jax.lax.scan(step, self.state, None, length=planner.horizon)
+        _, (moved, controls, beliefs) = jax.lax.scan(step, self.state, None, length=planner.horizon)
         start = jnp.stack([begin, self.state.velocity], axis=1)
-        total = self.cost(jnp.concatenate([start[None], moved]), controls)
+        total = self.cost(jnp.concatenate([start[None], moved]), controls, beliefs)
         return controls, jnp.where(jnp.isfinite(total), total, jnp.inf)

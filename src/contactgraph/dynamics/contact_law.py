@@ -27,9 +27,8 @@ from contactgraph.dynamics.free_bodies import SLOW, FreeBodies, lifted_fraction
 from contactgraph.dynamics.hinges import with_hinge_springs
 from contactgraph.dynamics.local_dynamics import SpringMassDamper
 
-_SOFTEST, _SOFTEST_TOUCH = 0.5, 0.1
-"""Most that types which start rigid lack of it; else types look alike. A softer touch would look
-like none, and make bodies that are pressed together seem held."""
+_SOFTEST = 0.5
+"""Most that types which start rigid lack of it; else types look alike."""
 _RIGID = 5.0
 """Logit at which the coupling of a rigid type starts."""
 _LEAST_FRICTION = 1e-3
@@ -232,8 +231,7 @@ class ContactLaw(BodyTypes):
         soft = weight * ~rigid  # The residue of a spring would push bodies in touch.
         starts = [_RIGID if each.rigid else logit(each.coupling) for each in graph.edge_types]
         each = jax.nn.sigmoid(out[..., 0] + np.array(starts)[:, None])
-        lacking = np.where(unilateral, _SOFTEST_TOUCH, _SOFTEST) * (not self.identified)
-        each = jnp.where(rigid, 1.0 - lacking * (1.0 - each), each)
+        each = jnp.where(rigid, 1.0 - _SOFTEST * (not self.identified) * (1.0 - each), each)
         coupling = jnp.sum(weight * each, axis=0)
         rest = jnp.sum(weight * jax.nn.softplus(out[..., 2]), axis=0) * self.length
         elastic, friction = self.laws(graph.bodies.node_type, *geometry.edge_index)

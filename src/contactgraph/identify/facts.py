@@ -117,7 +117,7 @@ class Facts:
             return each.local_dynamics.head.actuation, each.local_dynamics.head.plane_distance
 
         def commanded(each: Any) -> Any:
-            return each.inference.message_passing.network.layers[0].weight
+            return each.inference.coefficients
 
         fresh: Any = preset(self.in_data, key=jax.random.key(0))
         arrays, static = eqx.partition(fresh, eqx.is_array)
@@ -133,7 +133,7 @@ class Facts:
             count = fresh.inference.commands
             begin = len(GAP_SCALES)  # The switches follow the gap.
             unit = jnp.array(self.units.control[len(self.units.control) - count :])
-            weight = commanded(moved).at[:, begin : begin + count].divide(unit)
+            weight = commanded(moved).at[..., begin : begin + count].divide(unit)
             moved = eqx.tree_at(commanded, moved, weight)
         return moved
 

@@ -3,20 +3,18 @@
 import dataclasses
 from abc import abstractmethod
 from functools import partial
-from typing import Self, cast
+from typing import Any, Self, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.bodies.geometry import Geometry
 from contactgraph.bodies.graph import HOLD, EdgeType
 from contactgraph.bodies.message_passing import EdgeNetwork, MessagePassing
-from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.inference.contact_belief import ContactBelief, EdgeMemory
-from contactgraph.inference.features import GAP_SCALES, approach_gap_and_switches
+from contactgraph.inference.features import GAP_SCALES, pull_approach_gap_and_switches
 
 _AGES = 44
 """Ages that are told apart, in steps; the last stands for all longer ones."""
@@ -57,9 +55,13 @@ class EdgeInference(eqx.Module):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
+        **step: Any,
     ) -> Float[Array, "E M"]:
-        """What one step's graph tells about every edge, by default nothing; ``edge`` are
-        `edge_inputs`."""
+        """What one step's graph tells about every edge, by default nothing.
+
+        ``step`` has its ``geometry``, ``nodes``, ``control`` [U] and ``displacement`` [N, D] m by
+        the control alone, where that is known.
+        """
         return jnp.zeros((weight.shape[0], 0), node.dtype)
 
     @abstractmethod
@@ -100,16 +102,6 @@ class EdgeInference(eqx.Module):
     def networks(self) -> list[MessagePassing | EdgeNetwork]:
         """Those whose messages decide about edges."""
         return []
-
-    def edge_inputs(
-        self,
-        features: Float[Array, "2 E F"],
-        geometry: Geometry,
-        nodes: Nodes,
-        command: Float[Array, " U"],
-    ) -> Float[Array, "2 E G"]:
-        """What `embed` is given of every edge: by default the model's edge ``features`` alone."""
-        return features
 
 
 class EdgeAges(EdgeMemory):
@@ -167,70 +159,51 @@ class DurationEdges(EdgeInference):
     features f of the edge and the geometric prior q, whether the bodies meet in the step under the
     command that is given, the transition to a type h that holds is
 
-    $$ T_{kah} = m_{kh}\, \mathrm{softmax}_h\big(\beta_{kah} + U_{kh}(f)\big), \quad
+    $$ T_{kah} = m_{kh}\, \mathrm{softmax}_h\big(\beta_{kah} + U_{kh} f\big)
+       \big/ \big(1 + (g / \ell_{kh})^{s_{kh}}\big), \quad
        m_{kh} = 1 \text{ if } k = h, \text{ else } 1 - q_0, $$
 
     with 0 in the softmax for none that holds. What is left is shared by *free* and *touch*: by q,
     and what it was before. T is at least `min_transition`, to active types as far as the bodies
-    meet. A touch is over where there is a gap before the step. The features are that gap, the
-    types of the ends and the switches of actuated ends: no force, because what a planner intends
-    is no evidence of contact.
+    meet. A touch is over where there is a gap before the step. The features are that gap, the types
+    of the ends and the switches of actuated ends: no force, because what a planner intends is no
+    evidence of contact. The pull g can only end a hold: by how many contact distances the control
+    drives an actuated end away from the other one.
     """
 
-    message_passing: EdgeNetwork
-    coefficients: eqx.nn.Linear
+    coefficients: Float[Array, "K H F"]
+    """U, in units of `_PACE`."""
     odds: Float[Array, "K A H"]
     r"""$\beta$ of the types that hold, in units of `_PACE`."""
+    strength: Float[Array, "2 K H"]
+    r"""Logarithm of $\ell$, and of what s is above 2, in units of `_PACE`."""
     edge_types: tuple[EdgeType, ...] = eqx.field(static=True)
-    node_types: int = eqx.field(static=True)
+    servos: tuple[bool, ...] = eqx.field(static=True)
+    """The node types that a servo drives: of these the control does not tell the pull."""
     min_transition: float = eqx.field(static=True)
     """Least probability of any transition in a step: no type is certain to last, or to change. That
     to active types has a share of it, the probability that the bodies meet."""
 
     def __init__(
         self,
-        width: int,
-        *,
-        node_types: int,
+        servos: tuple[bool, ...],
         edge_types: tuple[EdgeType, ...] = (HOLD,),
         commands: int = 0,
         min_transition: float = 2e-3,
-        key: PRNGKeyArray,
+        limit: float = 1.0,
     ):
-        """``width``: of the network of the features; ``commands``: the switches."""
-        count = 1 + len(edge_types)
-        network_key, key = jax.random.split(key)
-        inputs = len(GAP_SCALES) + commands + node_types
-        self.message_passing = EdgeNetwork(inputs, width, key=network_key)
+        """``commands``: the switches; ``limit``: of pulls, before training."""
+        count, inputs = 1 + len(edge_types), len(GAP_SCALES) + commands + len(servos)
         holds = np.flatnonzero([False, *(not each.unilateral for each in edge_types)])
-        last = eqx.nn.Linear(width, count * len(holds), key=key)
-        self.coefficients = eqx.tree_at(
-            lambda each: (each.weight, each.bias), last, replace_fn=jnp.zeros_like
-        )
+        self.coefficients = jnp.zeros((count, len(holds), inputs))
         odds = np.full((count, _AGES, len(holds)), _BEGINS)
         odds[holds, :, np.arange(len(holds))] = _LASTS
         self.odds = jnp.asarray(odds / _PACE, float)
+        self.strength = jnp.zeros((2, count, len(holds))).at[0].set(np.log(limit) / _PACE)
         self.edge_types = edge_types
-        self.node_types = node_types
         self.commands = commands
+        self.servos = servos
         self.min_transition = min_transition
-
-    @property
-    def networks(self) -> list[MessagePassing | EdgeNetwork]:
-        """That of the features."""
-        return [self.message_passing]
-
-    def edge_inputs(
-        self,
-        features: Float[Array, "2 E F"],
-        geometry: Geometry,
-        nodes: Nodes,
-        command: Float[Array, " U"],
-    ) -> Float[Array, "2 E G"]:
-        """Approach, gap, and the switches of actuated ends."""
-        switches = command[len(command) - self.commands :]
-        known = approach_gap_and_switches(geometry, nodes, switches).astype(features.dtype)
-        return jnp.stack([known, known])
 
     def embed(
         self,
@@ -238,14 +211,14 @@ class DurationEdges(EdgeInference):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
+        **step: Any,
     ) -> Float[Array, "E M"]:
-        """Embedded features of every edge, its approach, which is none, and its gap; the types come
-        first in ``node``."""
-        ends = jnp.sum(node[edge_index, : self.node_types], axis=0)
-        known = jnp.concatenate([edge, jnp.broadcast_to(ends, (2, *ends.shape))], axis=-1)
-        _, message = self.message_passing(node, known[..., 1:], weight, edge_index)
-        approach_and_gap = edge[0][:, np.array([0, len(GAP_SCALES)])]
-        return jnp.concatenate([message[0], approach_and_gap], axis=-1)
+        """Features of every edge, its pull, approach and gap; the types come first in ``node``."""
+        ends = jnp.sum(node[edge_index, : len(self.servos)], axis=0)
+        known = pull_approach_gap_and_switches(switches=self.commands, **step).astype(node.dtype)
+        known = known.at[:, 0].multiply(ends @ np.array(self.servos) == 0.0)
+        own = known[:, np.array([0, 1, 1 + len(GAP_SCALES)])]
+        return jnp.concatenate([known[:, 2:], ends, own], axis=-1)
 
     def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
         """The geometric prior, of unknown ages."""
@@ -272,19 +245,22 @@ class DurationEdges(EdgeInference):
         self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> Float[Array, "E K A K"]:
         """T: the probability of each type after the step, given type and age before it."""
-        edges, count = prior.shape
-        features, (approaches, gap) = embedding[:, :-2], embedding[:, -2:].T
+        (edges, count), (limit, steeper) = prior.shape, _PACE * self.strength
+        features, (pull, approaches, gap) = embedding[:, :-3], embedding[:, -3:].T
         log_prior = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))
         log_meets = jnp.log(jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY))
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
         touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
         # A hold lasts wherever its ends are driven, and begins where they meet.
-        odds = jax.vmap(self.coefficients)(features).reshape(-1, count, len(holds))
+        odds = _PACE * jnp.einsum("khf,ef->ekh", self.coefficients, features)
         odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
         odds = jnp.pad(odds[:, :, None] + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
         lasts = holds == np.arange(count)[:, None, None]
         held = jax.nn.log_softmax(odds)[..., 1:]
         held += jnp.where(lasts, 0.0, log_meets[:, None, None, None])
+        # A strong pull ends it, whatever the odds.
+        excess = jnp.log(jnp.maximum(pull, _MIN_PROBABILITY))[:, None, None] - limit
+        held -= jax.nn.softplus((2.0 + jnp.exp(steeper)) * excess)[:, :, None]
         # Geometry says whether bodies that are not held touch.
         stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
         stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))

@@ -215,20 +215,27 @@ class InvariantFeatures(Features):
         return jnp.stack([features, features])
 
 
-def approach_gap_and_switches(
-    geometry: Geometry, nodes: Nodes, switches: Float[Array, " C"]
-) -> Float[Array, "E 4+C"]:
-    """1 where the bodies of an edge approach each other in the step, else 0; their bounded gap
-    before it, on the scales, 0 where they touch, negative where one is in the other; and the
-    switches of actuated ends."""
+def pull_approach_gap_and_switches(
+    geometry: Geometry,
+    nodes: Nodes,
+    control: Float[Array, " U"],
+    displacement: Float[Array, "N G"] | None,
+    switches: int,
+) -> Float[Array, "E 5+C"]:
+    """By how many contact distances the control drives actuated ends away from the other ones, by
+    ``displacement`` m; 1 where bodies approach each other in the step, else 0; their bounded gap
+    before it, on the scales, negative where one is in the other; and the ``switches``, which come
+    last in the control, of actuated ends."""
     touch = jax.lax.stop_gradient(geometry.contact_distance)
     gap = geometry.distance[:, None] / touch[:, None] - 1.0
     gap = jnp.sign(gap) * jnp.maximum(jnp.abs(gap) - _TOUCHING, 0.0)
     approaches = (geometry.distance - geometry.closest_approach) / touch > _TOUCHING
-    acting = jnp.sum(nodes.actuated[geometry.edge_index], axis=0)[:, None] * switches
-    return jnp.concatenate(
-        [approaches[:, None], gap / (np.array(GAP_SCALES) + jnp.abs(gap)), acting], axis=-1
-    )
+    actuated, size = nodes.actuated[geometry.edge_index], geometry.direction.shape[1]
+    driven = 0.0 if displacement is None else displacement[geometry.edge_index, :size]
+    pull = jnp.diff(actuated * jnp.sum(geometry.direction * driven, axis=-1), axis=0)[0] / touch
+    acting = jnp.sum(actuated, axis=0)[:, None] * control[len(control) - switches :]
+    bounded = gap / (np.array(GAP_SCALES) + jnp.abs(gap))
+    return jnp.concatenate([pull[:, None], approaches[:, None], bounded, acting], axis=-1)
 
 
 class ClosestApproachPrior(eqx.Module):

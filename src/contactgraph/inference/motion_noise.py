@@ -138,7 +138,9 @@ class MotionNoise(eqx.Module):
         best = jnp.argmax(jnp.sum(likelihood, axis=-1))
         contrast = _square(middle[0], middle[0][best]) / base_x
         contrast = contrast + _square(middle[1], middle[1][best]) / base_v
-        ratio = jnp.sum(_relevance(contrast, dimension) * (likelihood - likelihood[best]), axis=-1)
+        # 0 where two predictions differ by no more than the noise
+        relevance = 1.0 - dimension / jnp.maximum(contrast, dimension)
+        ratio = jnp.sum(relevance * (likelihood - likelihood[best]), axis=-1)
         return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
 
 
@@ -243,11 +245,6 @@ def _log_density(
     error = _square(observed[0], predicted[0]) / variance_x
     error = error + _square(observed[1], predicted[1]) / variance_v
     return -0.5 * (tail + 2 * observed[0].shape[-1]) * jnp.log1p(error / tail)
-
-
-def _relevance(contrast: Float[Array, "*K N"], dimension: int) -> Float[Array, "*K N"]:
-    """0 where two predictions differ by no more than the noise: see `MotionNoise`."""
-    return 1.0 - dimension / jnp.maximum(contrast, dimension)
 
 
 def _square(

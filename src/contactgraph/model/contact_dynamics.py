@@ -159,8 +159,13 @@ class ContactDynamics(eqx.Module):
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
         exists &= jnp.any(nodes.actuated[edges.edge_index], axis=0) | (not self.star)
         weight = jnp.where(exists, self.cutoff(edge_geometry), 0.0)
-        seen = self.inference.edge_inputs(edge_features, edge_geometry, nodes, control)
-        embedding = self.inference.embed(node_features, seen, weight, edges.edge_index)
+        embedding = self.inference.embed(
+            *(node_features, edge_features, weight, edges.edge_index),
+            geometry=edge_geometry,
+            nodes=nodes,
+            control=control,
+            displacement=displacement,
+        )
         edge_types = self.inference.edge_types
         return EncodedGraph(
             bodies=bodies,

@@ -44,8 +44,11 @@ PLANE = "plane"
 """Stands for planes where types are named."""
 _MOST = 1024
 """Of any width or count; bounds the memory that a damaged file can ask for."""
+_TYPES = "object", "actuated"
 _MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04
 """Least probability of a transition in a step, and in a second of shorter steps."""
+_STRONG = 4.0
+"""Control above nearly all, of a mean square of 1: no hold withstands it before training."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 0.99
 """Of bounce and friction."""
 
@@ -209,14 +212,14 @@ def ours(
             config.edge_types, first_where(each.unilateral for each in config.edge_types)
         )
     elif filtered:
-        node_types, commands = features.node_types, config.control_size - driving
+        fits = [config.actuation.get(name) for name in config.node_types or _TYPES]
+        push = max((np.abs(fit.matrix).max() for fit in fits if fit is not None), default=0.0)
         edges = DurationEdges(
-            width,
-            node_types=node_types,
+            tuple(fit is not None and fit.stiffness + fit.damping > 0.0 for fit in fits),
             edge_types=config.edge_types,
-            commands=commands,
+            commands=config.control_size - driving,
             min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
-            key=rates_key,
+            limit=_STRONG * push * config.dt**2 / distance or 1.0,
         )
         noise = PredictionNoise(len(config.edge_types), distance)
     elif inference is not Inference.NONE:
@@ -246,7 +249,7 @@ def ours(
 
 
 def _law(config: ModelConfig, width: int, driving: int, key: PRNGKeyArray) -> ContactLaw:
-    types = config.node_types or ("object", "actuated")
+    types = config.node_types or _TYPES
     with jax.ensure_compile_time_eval():  # starts are numbers, also where shapes alone are asked
         drives = Actuation.from_fits(types, config.dimension, driving, config.actuation)
     head = ContactLaw(

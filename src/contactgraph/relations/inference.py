@@ -17,7 +17,7 @@ types that act at the present distance.
 """
 
 import dataclasses
-from typing import Self, cast
+from typing import Any, Self, cast
 
 import equinox as eqx
 import jax
@@ -56,6 +56,7 @@ class StaticEdges(EdgeInference):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
+        **step: Any,
     ) -> Float[Array, "E K"]:
         """The logarithm of every edge's prior, by the types of its ends alone.
 

@@ -166,7 +166,8 @@ def has_dead_units(model: ContactDynamics, windows: TrajectoryBatch[Array]) -> b
 
 
 def _networks(model: ContactDynamics) -> list[MessagePassing | EdgeNetwork]:
-    return model.inference.networks or model.local_dynamics.message_passing.networks
+    learns = jax.tree.leaves(eqx.filter(model.inference, eqx.is_inexact_array))
+    return (model.inference if learns else model.local_dynamics.message_passing).networks
 
 
 @eqx.filter_jit
@@ -185,8 +186,7 @@ def _ranges(
         weight, ends = near.astype(position.dtype), graph.geometry.edge_index
         node, edge, inference = graph.node_features, graph.edge_features, model.inference
         if inference.networks:
-            seen = inference.edge_inputs(edge, graph.geometry, nodes, still)
-            messages = [inference.embed(node, seen, weight, ends)[None]]
+            messages = [inference.embed(node, edge, weight, ends)[None]]
         else:
             messages = [each(node, edge, weight, ends)[1] for each in _networks(model)]
 

@@ -1,5 +1,7 @@
 """The paper's model in its order: features, prior, graph inference, and forward dynamics."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -110,6 +112,7 @@ class _MessageEdges(EdgeInference):
         edge: Float[Array, "2 E G"],
         weight: Float[Array, " E"],
         edge_index: Int[Array, "2 E"],
+        **step: Any,
     ) -> Float[Array, "E M"]:
         """Input of the recurrent cell, or scores of the types, of every edge of a step's graph."""
         _, message = self.message_passing(node, edge, weight, edge_index)
