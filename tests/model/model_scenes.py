@@ -41,13 +41,15 @@ def geometry_of(
     static=None,
 ) -> Geometry:
     """Of balls, and of bars and boxes where an ``anchor`` or ``half_size`` is given."""
+    places = meeting(position, edge_index, anchor, half_size).with_fixed(static)
+    moved = control_displacement
     return geometry(
-        meeting(position, edge_index, anchor, half_size).with_fixed(static),
+        places,
         velocity=velocity,
         coasting=velocity,
         dt=dt,
         contact_distance=contact_distance,
-        control_displacement=control_displacement,
+        driven=None if moved is None else places.relative(moved),
     )
 
 

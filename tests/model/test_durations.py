@@ -222,6 +222,26 @@ def test_the_pull_of_a_servo_is_not_known() -> None:
     assert pull({"hand": servo}) == 0.0 < pull({})
 
 
+def test_what_is_believed_to_hold_is_judged_as_if_it_did_not() -> None:
+    """A hand pulls at, or presses on, a body that is taken for held. How strong that is, and
+    whether the bodies meet, does not depend on the belief, which would be evidence of itself; and
+    where the hold ends in the step, they move as any that touch."""
+    model = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.PRNGKey(0))
+    position = jnp.array([[0.0, 0.0], [0.999 * float(model.features.contact_distance), 0.0]])
+    held, free = (belief(*types) for types in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
+    touch = ContactBelief(jnp.array([[0.0, 1.0, 0.0]]))
+
+    def told(before: ContactBelief, force: float) -> tuple[jax.Array, ...]:
+        before = dataclasses.replace(before, edge_types=model.inference.edge_types)
+        control = jnp.array([force, 0.3])
+        graph = model.encode(position, 0 * position, control, nodes_of(2), before)
+        after = model.linearize(model.cut_edges(graph, touch))(position, 0 * position, control)
+        return graph.embedding, graph.prior, graph.geometry.approach, *after
+
+    for force in (-6.0, 6.0):
+        assert_same(compiled(told, held, force), compiled(told, free, force), atol=1e-9)
+
+
 def test_motion_corrects_three_types_by_bayes_rule() -> None:
     """The types in the end of a step are those of all pairs that lead to them."""
     rng = np.random.default_rng(1)

@@ -152,15 +152,15 @@ def geometry(
     dt: float,
     contact_distance: Float[Array, "*C"] | float,
     coasting: Float[Array, "N G"],
-    control_displacement: Float[Array, "N G"] | None = None,
+    driven: Float[Array, "C D"] | None = None,
     speed: float = 1.0,
 ) -> Geometry:
     """The geometry of a meeting at one step of ``dt`` [s]; finite where nodes coincide.
 
     Bodies touch ``contact_distance`` [m] apart, centre to centre: all of them, or each row's. Nodes
     move at ``velocity`` [m/s], and without contacts at ``coasting`` [m/s].
-    ``control_displacement`` [m] is how far the step's control alone moves them, where known.
-    ``speed`` [m/s] is the unit of speeds.
+    ``driven`` [m] is how far the step's control alone moves the second body of each row against the
+    first, where known. ``speed`` [m/s] is the unit of speeds.
     """
     displacement = meeting.displacement
 
@@ -171,10 +171,8 @@ def geometry(
         return motion
 
     drifted = dt * approach(meeting.relative(coasting))
-    driven, chords, refinements = jnp.zeros_like(drifted), 1, 1
-    if control_displacement is not None:
-        driven, chords = approach(meeting.relative(control_displacement)), _CHORDS
-        refinements = _REFINEMENTS
+    chords, refinements = (1, 1) if driven is None else (_CHORDS, _REFINEMENTS)
+    driven = jnp.zeros_like(drifted) if driven is None else approach(driven)
     time, closest_approach = _closest_approach(displacement, drifted, driven, chords)
     meets, path = jnp.zeros_like(time, bool), drifted
     for _ in range(refinements):

@@ -1,7 +1,5 @@
 """Rounds of messages along weighted edges."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -59,10 +57,7 @@ class MessagePassing(eqx.Module):
     """
 
     steps: list[_Round]
-    node_size: int = eqx.field(static=True)
-    edge_size: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
-    rounds: int = eqx.field(static=True)
 
     def __init__(
         self, node_size: int, edge_size: int, width: int = 32, rounds: int = 2, *, key: PRNGKeyArray
@@ -72,10 +67,7 @@ class MessagePassing(eqx.Module):
         self.steps = [
             _Round(size, edge_size, width, key) for size, key in zip(sizes, keys, strict=True)
         ]
-        self.node_size = node_size
-        self.edge_size = edge_size
         self.width = width
-        self.rounds = rounds
 
     def __call__(
         self,
@@ -100,15 +92,11 @@ class EdgeNetwork(eqx.Module):
     `MessagePassing` does, with empty node embeddings.
     """
 
-    rounds: ClassVar[int] = 0
-    """No message depends on another."""
     network: eqx.nn.MLP
-    edge_size: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
 
     def __init__(self, edge_size: int, width: int = 32, *, key: PRNGKeyArray):
         self.network = eqx.nn.MLP(edge_size, width, width, 2, final_activation=jax.nn.relu, key=key)
-        self.edge_size = edge_size
         self.width = width
 
     def __call__(
@@ -131,9 +119,6 @@ class TypedMessagePassing(eqx.Module):
     """
 
     types: list[MessagePassing | EdgeNetwork]
-
-    def __init__(self, types: list[MessagePassing | EdgeNetwork]):
-        self.types = list(types)
 
     @property
     def networks(self) -> list[MessagePassing | EdgeNetwork]:

@@ -86,6 +86,8 @@ class ContactBelief(eqx.Module):
                 return everywhere.at[self.edge_id].set(values, mode="drop")
             if self.edge_id is None:
                 row, known = jnp.minimum(edge_id, count - 1), edge_id < count
+            elif not len(self.edge_id):
+                return jnp.repeat(unlisted[None], len(edge_id), axis=0)
             else:  # Both ascend.
                 last = self.edge_id.shape[0] - 1
                 row = jnp.minimum(jnp.searchsorted(self.edge_id, edge_id), last)

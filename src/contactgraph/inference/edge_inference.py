@@ -59,8 +59,8 @@ class EdgeInference(eqx.Module):
     ) -> Float[Array, "E M"]:
         """What one step's graph tells about every edge, by default nothing.
 
-        ``step`` has its ``geometry``, ``nodes``, ``control`` [U] and ``displacement`` [N, D] m by
-        the control alone, where that is known.
+        ``step`` has its ``geometry``, ``nodes``, ``control`` [U] and, where known, ``displacement``
+        [N, D] m by the control alone, as if nothing held: a belief is no evidence of itself.
         """
         return jnp.zeros((weight.shape[0], 0), node.dtype)
 

@@ -31,7 +31,7 @@ from contactgraph.model.motion_likelihood import (
 from contactgraph.model.step import ModelState, StepModel, scene_nodes
 
 _ITERATIONS = 2
-"""Linearisations a step: an impact is far from linear in the mass."""
+"""Linearisations a step from each beginning: an impact is far from linear in the mass."""
 _CHANGE = 0.1
 """Of the logarithm of a mass, from which a step is linearised."""
 
@@ -132,7 +132,10 @@ def correct_masses(
     free = jnp.zeros_like(types).at[:, 0].set(1.0)
     each = jnp.stack([types] * (count + 1) + [free])
 
-    def iterate(mean: Float[Array, " N"], _: None) -> tuple[Array, Array]:
+    def iterate(z: Float[Array, " N"], _: None) -> tuple[Array, tuple[Array, Array, Array]]:
+        """From the masses that are ``z`` standard deviations away: by how many those after it are,
+        how badly those before it fit, and the share of the variance that is left."""
+        mean = masses.mean + spread * z
         *changed, predicted, unhindered = jax.vmap(velocity)(mean + changes, each)
         slope = (jnp.stack(changed, axis=-1) - predicted[..., None]) / _CHANGE
         # Both known up to a share, so that no step tells a mass better than that.
@@ -142,14 +145,19 @@ def correct_masses(
         # Student's t: an outlier, such as a contact that was judged wrongly, has less weight.
         weight = (noise.tail + 1.0) / (noise.tail + error**2 / variance) / variance
         scaled = slope * spread
-        missing = error + slope @ (mean - masses.mean)
         precision = jnp.einsum("ngi,ng,ngj->ij", scaled, weight, scaled)
         inverse = jnp.linalg.inv(precision + jnp.eye(count))
-        change = inverse @ jnp.einsum("ngi,ng,ng->i", scaled, weight, missing)
-        return masses.mean + spread * change, jnp.diagonal(inverse)
+        improved = inverse @ jnp.einsum("ngi,ng,ng->i", scaled, weight, error + scaled @ z)
+        misfit = (noise.tail + 1.0) * jnp.log1p(error**2 / (noise.tail * variance))
+        misfit = jnp.sum(nodes.mobile[:, None] * (misfit + jnp.log(variance))) + jnp.sum(z**2)
+        return improved, (misfit, improved, jnp.diagonal(inverse))
 
-    mean, share_left = jax.lax.scan(iterate, masses.mean, length=_ITERATIONS)
-    corrected = MassBelief(mean, masses.variance * share_left[-1])
+    # The motion hardly depends on a mass that is much too large: a Newton step leads nowhere there.
+    starts = jnp.ones(count) * np.array([[0.0], [-1.0], [1.0]])
+    found = jax.vmap(lambda z: jax.lax.scan(iterate, z, length=_ITERATIONS)[1])(starts)
+    best = jnp.argmin(found[0][:, -1])
+    _, z, share_left = jax.tree.map(lambda leaf: leaf[best, -1], found)
+    corrected = MassBelief(masses.mean + spread * z, masses.variance * share_left)
     return jax.tree.map(lambda new, old: jnp.where(usable, new, old), corrected, masses)
 
 

@@ -146,14 +146,22 @@ class ContactDynamics(eqx.Module):
         # A step that exceeds a capacity predicts NaN for every node.
         moving = jnp.where(edges.fits, velocity, jnp.nan)
         bodies = bodies._replace(velocity=moving)
+        edge_types = self.inference.edge_types
+        alone = self._control_displacement(bodies, control, nothing_active(edge_types), None)
+        driven = None
+        if displacement is not None and alone is not None:
+            # What holds meets as if it did not: a hold may end within the step.
+            held = before.over(edges.edge_id, pair_count(len(position))).holding > 0.5
+            held = jnp.resize(held, meeting.edge_index.shape[1:])[:, None]
+            driven = jnp.where(held, meeting.relative(alone), meeting.relative(displacement))
         touch = self.features.distances(nodes, edges.edge_index, position.dtype)
-        points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
-        edge_geometry = points.first(edges.edge_index.shape[1])
+        points = self._contact_points(bodies, self.dt, touch, meeting, driven)
         if as_touching:
+            edge_geometry = points.first(edges.edge_index.shape[1])
             closest = _TOUCHING * edge_geometry.closest_approach
             touch = jnp.maximum(edge_geometry.contact_distance, closest)
-            points = self._contact_points(bodies, self.dt, touch, meeting, displacement)
-            edge_geometry = points.first(edges.edge_index.shape[1])
+            points = self._contact_points(bodies, self.dt, touch, meeting, driven)
+        edge_geometry = points.first(edges.edge_index.shape[1])
         node_features = self.features.node(position, moving, nodes)
         edge_features = self.features.edge(edge_geometry)
         exists = edges.select(nodes.candidate) & jnp.all(nodes.mask[edges.edge_index], axis=0)
@@ -164,9 +172,8 @@ class ContactDynamics(eqx.Module):
             geometry=edge_geometry,
             nodes=nodes,
             control=control,
-            displacement=displacement,
+            displacement=alone,
         )
-        edge_types = self.inference.edge_types
         return EncodedGraph(
             bodies=bodies,
             control=control,
@@ -236,7 +243,7 @@ class ContactDynamics(eqx.Module):
         dt: float,
         contact_distance: Float[Array, "*E"] | float,
         meeting: Meeting,
-        displacement: Float[Array, "N D"] | None,
+        driven: Float[Array, "C D"] | None,
     ) -> Geometry:
         """`EncodedGraph.contact_points` of a step of ``dt`` [s]."""
         return geometry(
@@ -244,7 +251,7 @@ class ContactDynamics(eqx.Module):
             velocity=bodies.velocity,
             dt=dt,
             contact_distance=jnp.resize(contact_distance, meeting.edge_index.shape[1:]),
-            control_displacement=displacement,
+            driven=driven,
             coasting=self.local_dynamics.coasting(bodies, dt),
             speed=self.features.speed,
         )
