@@ -92,6 +92,8 @@ class EdgeNetwork(eqx.Module):
     `MessagePassing` does, with empty node embeddings.
     """
 
+    rounds = 0
+    """No message depends on another."""
     network: eqx.nn.MLP
     width: int = eqx.field(static=True)
 

@@ -240,9 +240,8 @@ class ContactLaw(BodyTypes):
         # A contact that bounces is over in an instant.
         normal = geometry.normal + bounce[:, None] * (geometry.impact_normal - geometry.normal)
         square = jnp.sum(normal**2, axis=-1, keepdims=True)
-        normal = normal / jnp.sqrt(
-            jnp.maximum(square, _SMALL)
-        )  # 0 of what fills up a list of edges
+        # It is 0 of what fills up a list of edges.
+        normal = normal / jnp.sqrt(jnp.maximum(square, _SMALL))
         return Contacts(
             geometry=dataclasses.replace(geometry, normal=normal),
             damper=damper_of(coupling),
@@ -265,9 +264,8 @@ class ContactLaw(BodyTypes):
         velocity if they do not touch."""
         motion, distance = dt * (bodies.velocity + driven), self._plane_distance(bodies.node_type)
         geometry = plane_geometry(bodies, motion, distance, self.turn_length, self.length)
-        closing = meets_plane(geometry) * jax.nn.sigmoid(
-            geometry.approach / (_ONE_SIDED * self.length)
-        )
+        nearer = geometry.approach / (_ONE_SIDED * self.length)
+        closing = meets_plane(geometry) * jax.nn.sigmoid(nearer)
         bounce, friction = self.laws(bodies.node_type, geometry.edge_index[0])
         nothing = jnp.zeros_like(closing)
         return Contacts(
