@@ -50,8 +50,6 @@ def test_the_expert_controls_the_scenes_of_a_model(
         assert np.array_equal(one.control, other.control), "the demonstrator, without noise"
     ends = [np.linalg.norm(each.position[-1, 1] - each.scene.goal) for each in saved]
     assert values["goal_distance_m_mean"] == pytest.approx(np.mean(ends))
-    assert values["within_2cm_rate"] == np.mean(np.less(ends, 0.02))
-    assert values["within_1cm_rate"] == np.mean(np.less(ends, 0.01))
     assert f"end to goal, median        {100 * np.median(ends):.2f} cm" in captured.out
     ((path, scene),) = drawn
     first = saved.trajectories[0]

@@ -104,8 +104,6 @@ def test_the_last_node_ends_at_a_distance_from_the_goal():
     aimless = closed_loop_metrics([episode([1.0, 1.0])], [True], [(0, 1)], 0)
     near = [ending((1.0, 1.015)), ending((1.0, 1.5)), ending((1.0, 1.002)), ending((1.0, 1.03))]
     found = closed_loop_metrics(near, [True] * 4, [(0, 2, 1)] * 4, 0)
-    assert (found.within_1cm_rate, found.within_2cm_rate) == (0.25, 0.5)
-    assert aimless.within_1cm_rate is None
     assert aimless.goal_distance_m_median is aimless.goal_distance_m_mean is None
 
 

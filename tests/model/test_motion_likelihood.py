@@ -299,3 +299,25 @@ def test_a_model_learns_how_exact_its_motion_and_its_effects_are() -> None:
     assert gradient.log_velocity > 0.0 and gradient.log_share[0] > 0.0
     exact = eqx.tree_at(lambda each: each.log_share, noise, noise.log_share - 9.0)
     assert exact.share[0] == pytest.approx(0.01), "never certain"
+
+
+def test_bodies_that_are_apart_after_a_step_have_not_met_in_it() -> None:
+    """A hand comes to a body, as geometry sees it; both then have one velocity, as a hold has it.
+    But where they end, whatever stopped them, tells whether they have met."""
+    model = ours(ModelConfig(2, 2, DT, width=8), key=jax.random.PRNGKey(0))
+    touch, nodes = float(model.features.contact_distance), nodes_of(2)
+    position = jnp.array([[0.0, 0.0], [1.2 * touch, 0.0]])
+    velocity = jnp.array([[1.0, 0.0], [0.0, 0.0]])
+
+    @eqx.filter_jit
+    def hold_begins(gap: float) -> jax.Array:
+        belief = model.initial_belief(position, velocity, nodes)
+        graph = model.encode_state(ModelState(position, velocity, belief), REST, nodes)
+        joint = model.predict_joint(belief, graph)[1]
+        after = jnp.array([[0.4 * touch, 0.0], [(1.4 + gap) * touch, 0.0]])
+        observed = after, jnp.array([[0.5, 0.0], [0.5, 0.0]])
+        types = jnp.array([[1.0, 0.0, 0.0]])
+        return edge_log_ratios(model, graph, joint, observed, NOISE, types)[0, 0, 2]
+
+    assert float(hold_begins(0.0)) > 2.0
+    assert float(hold_begins(0.1)) < -2.0 * NOISE.max_log_ratio

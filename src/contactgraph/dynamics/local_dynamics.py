@@ -12,8 +12,6 @@ from contactgraph.bodies.graph import Bodies, EncodedGraph
 from contactgraph.bodies.message_passing import TypedMessagePassing
 from contactgraph.data.errors import InvalidInputError
 
-_MIN_INVERSE_MASS = 1e-6
-
 
 class LinearDynamics(eqx.Module):
     """``x' = A x + B u + offset`` of one step, separately for every node and degree of freedom.
@@ -99,16 +97,6 @@ class SpringMassDamper(eqx.Module):
         dimension, size = self.response.shape[-2:]
         own = jnp.diagonal(self.response, axis1=-2, axis2=-1)
         return jnp.pad(own, [(0, 0)] * (own.ndim - 1) + [(0, dimension - min(dimension, size))])
-
-    @property
-    def stiffness(self) -> Float[Array, "*T N D"]:
-        """k, N/m: the rate times the mass; large where no control moves the node."""
-        return self.stiffness_rate / jnp.maximum(self.inverse_mass, _MIN_INVERSE_MASS)
-
-    @property
-    def damping(self) -> Float[Array, "*T N D"]:
-        """c, N s/m: the rate times the mass; large where no control moves the node."""
-        return self.damping_rate / jnp.maximum(self.inverse_mass, _MIN_INVERSE_MASS)
 
 
 def from_physical(

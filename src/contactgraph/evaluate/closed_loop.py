@@ -37,11 +37,6 @@ class ClosedLoopMetrics:
     goal_distance_m_median: float | None
     """From the chain's last node to the goal at the end of an episode, m."""
     goal_distance_m_mean: float | None
-    within_1cm_rate: float | None
-    """Share of the episodes that end less than 1 cm from the goal."""
-    within_2cm_rate: float | None
-    best_score_mean: float | None
-    """Mean of each episode's best score, such as the overlap with a goal; see `ScoredTask`."""
     contact_speed_m_s: float | None
     """Median speed in the last state before the first contact, m/s."""
     slowest_before_contact_min_m_s: float | None
@@ -91,8 +86,6 @@ def closed_loop_metrics(
     slowest = [each for _, each in approaches if each is not None]
     touched = [_touched_distractor(*each) for each in episodes]
     touches = [found for each in episodes if (found := _touches(*each)) is not None]
-    known = (each.scene.metadata.get("best_score") for each in trajectories)
-    scores = [float(each) for each in known if each is not None]
     times = np.asarray(plan_ms, dtype=np.float64)
     return ClosedLoopMetrics(
         episodes=len(trajectories),
@@ -103,9 +96,6 @@ def closed_loop_metrics(
         success_by_episode=tuple(bool(each) for each in succeeded),
         goal_distance_m_median=_median(distances),
         goal_distance_m_mean=float(np.mean(distances)) if distances else None,
-        within_1cm_rate=float(np.mean(np.less(distances, 0.01))) if distances else None,
-        within_2cm_rate=float(np.mean(np.less(distances, 0.02))) if distances else None,
-        best_score_mean=float(np.mean(scores)) if scores else None,
         contact_speed_m_s=_median([each for each, _ in approaches]),
         slowest_before_contact_min_m_s=min(slowest, default=None),
         touches_mean=float(np.mean(touches)) if touches else None,

@@ -11,10 +11,12 @@ and the predicted probabilities of the pairs are multiplied by $e^{\ell_{ij}}$. 
 predictions are the same motion, $\ell = 0$, and the belief stays as predicted.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.geometry import Meeting
@@ -126,7 +128,7 @@ def edge_log_ratios(
     """
 
     bodies = graph.bodies
-    noise = noise.at(bodies.velocity, model.dt)
+    noise, apart = noise.at(bodies.velocity, model.dt), _begun_apart(model, graph, observed[0])
 
     def moved(types: Float[Array, "E K"]) -> Motion:
         return motion_given_types(
@@ -149,7 +151,7 @@ def edge_log_ratios(
         one_hot = jnp.eye(edge_types, dtype=types.dtype)
         motions = jax.vmap(lambda one: moved(types.at[edge].set(one)))(one_hot)
         ratios = noise.log_ratios(motions, observed, bodies.nodes.mask, model.dt, graph.edge_types)
-        ratios = ratios - ratios[0, 0]
+        ratios = ratios - ratios[0, 0] + apart[edge]
         after = jnp.sum(pair_posterior(joint[edge], ratios), axis=0)
         return types.at[edge].set(one_hot[jnp.argmax(after)]), ratios
 
@@ -166,6 +168,19 @@ def edge_log_ratios(
 
     first = jnp.zeros((), int), types, jnp.zeros(joint.shape, graph.weight.dtype)
     return jax.lax.while_loop(lambda carry: carry[0] < count, judge_next, first)[2]
+
+
+def _begun_apart(
+    model: ContactDynamics, graph: EncodedGraph, position: Float[Array, "N G"]
+) -> Float[Array, "E K K"]:
+    """What ``position`` [m] after the step says against contacts that begin in it: bodies that are
+    apart then have not met, such as where another contact was in the way."""
+    meeting = model.features.meeting(graph.bodies.nodes, position, graph.geometry.edge_index)
+    distance = jnp.linalg.norm(meeting.displacement[: len(graph.weight)], axis=-1)
+    near = model.prior(dataclasses.replace(graph.geometry, closest_approach=distance))
+    contact = np.array([False, *(each.contact for each in graph.edge_types)])
+    # Squared, since its bound stands for forces that are not known.
+    return jnp.where(np.outer(~contact, contact), 2.0 * jnp.log(near)[:, None, None], 0.0)
 
 
 def motion_given_types(
