@@ -416,7 +416,8 @@ def test_the_papers_form_gives_the_papers_matrices() -> None:
     state, control = random_state(model, nodes), jnp.zeros(2)
     parameters = eqx.filter_jit(ContactDynamics.parameters)(model, state, control, nodes)
     linear, _ = linear_step(model, state, control, nodes)
-    m, k, c = 1 / parameters.inverse_mass, parameters.stiffness, parameters.damping
+    m = 1 / parameters.inverse_mass
+    k, c = m * parameters.stiffness_rate, m * parameters.damping_rate
     one = jnp.ones_like(m)
     A = jnp.stack(
         [jnp.stack([one, DT * one], -1), jnp.stack([-k * DT / m, 1 - c * DT / m], -1)], -2

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from contactgraph.dynamics.local_dynamics import own_component
 from contactgraph.model import (
     LinearDynamics,
     SpringMassDamper,
@@ -91,18 +90,12 @@ def test_derivatives_of_the_theta_method(learned) -> None:
     assert (slope == 0) == (not learned)
 
 
-def test_a_weightless_control_has_finite_physical_parameters() -> None:
-    zero, one = jnp.zeros((1, 2)), jnp.ones((1, 2))
-    parameters = SpringMassDamper(own_component(zero, 2), one, one, zero, zero, zero, zero)
-    assert np.all(np.isfinite(parameters.stiffness)) and np.all(np.isfinite(parameters.damping))
-
-
-def test_physical_parameters_come_back() -> None:
+def test_physical_parameters_are_rates_times_the_mass() -> None:
     rng = np.random.default_rng(0)
     w, k, c, rest = jnp.asarray(rng.uniform(0.1, 5, (4, 3, 2)))
     parameters = from_physical(w, k, c, rest)
-    np.testing.assert_allclose(parameters.stiffness, k, rtol=1e-5)
-    np.testing.assert_allclose(parameters.damping, c, rtol=1e-5)
+    np.testing.assert_allclose(parameters.stiffness_rate, w * k, rtol=1e-5)
+    np.testing.assert_allclose(parameters.damping_rate, w * c, rtol=1e-5)
     assert not np.any(parameters.impact_displacement) and not np.any(
         parameters.equilibrium_velocity
     )
