@@ -227,6 +227,30 @@ ABLATIONS = (
         "return None if displacement is None else displacement.astype(bodies.velocity.dtype)",
         "return None",
     ),
+    Ablation(
+        "pulls as if nothing held",
+        "model/contact_dynamics.py",
+        "displacement=alone,",
+        "displacement=displacement,",
+    ),
+    Ablation(
+        "what holds meets as if it did not",
+        "model/contact_dynamics.py",
+        "driven = jnp.where(held, meeting.relative(alone), meeting.relative(displacement))",
+        "driven = meeting.relative(displacement)",
+    ),
+    Ablation(
+        "where bodies end",
+        "model/motion_likelihood.py",
+        "ratios = ratios - ratios[0, 0] + apart[edge]",
+        "ratios = ratios - ratios[0, 0]",
+    ),
+    Ablation(
+        "three beginnings of a mass",
+        "model/body_mass.py",
+        "np.array([[0.0], [-1.0], [1.0]])",
+        "np.array([[0.0]])",
+    ),
     Ablation("the path under a force", _GEOMETRY, "_REFINEMENTS = 3", "_REFINEMENTS = 1"),
     Ablation("chords of the path", _GEOMETRY, "_CHORDS = 8", "_CHORDS = 1"),
     Ablation(

@@ -56,7 +56,7 @@ def test_the_applied_control_matters(inferring) -> None:
     np.testing.assert_array_equal(
         with_control.last.belief.probability, default.last.belief.probability
     )
-    other = inferring.step(moved, None, state, -PUSH)[1]
+    other = inferring.step(moved, None, state, PUSH)[1]
     assert other.last.belief.probability[0] != with_control.last.belief.probability[0]
 
 

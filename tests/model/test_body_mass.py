@@ -156,7 +156,7 @@ def test_one_strike_tells_a_body_much_lighter_than_its_type(model):
     belief = ContactBelief(held, edge_types=heavy.inference.edge_types)
 
     @eqx.filter_jit
-    def told(log_mass):
+    def inferred(log_mass):
         state, still = ModelState(position, velocity, belief), jnp.zeros(2)
         weighed = nodes._replace(log_mass=jnp.array([0.0, log_mass, 0.0]))
         observed = motion_given_types(heavy, position, velocity, still, weighed, held)
@@ -164,4 +164,4 @@ def test_one_strike_tells_a_body_much_lighter_than_its_type(model):
         return correct_masses(heavy, first, state, belief, still, observed, nodes, noise).mean[1]
 
     for log_mass in (-3.4, -2.0, 1.2):
-        assert float(told(log_mass)) == pytest.approx(log_mass, abs=0.2)
+        assert float(inferred(log_mass)) == pytest.approx(log_mass, abs=0.2)

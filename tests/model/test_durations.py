@@ -231,7 +231,7 @@ def test_what_is_believed_to_hold_is_judged_as_if_it_did_not() -> None:
     held, free = (belief(*types) for types in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
     touch = ContactBelief(jnp.array([[0.0, 1.0, 0.0]]))
 
-    def told(before: ContactBelief, force: float) -> tuple[jax.Array, ...]:
+    def judged(before: ContactBelief, force: float) -> tuple[jax.Array, ...]:
         before = dataclasses.replace(before, edge_types=model.inference.edge_types)
         control = jnp.array([force, 0.3])
         graph = model.encode(position, 0 * position, control, nodes_of(2), before)
@@ -239,7 +239,7 @@ def test_what_is_believed_to_hold_is_judged_as_if_it_did_not() -> None:
         return graph.embedding, graph.prior, graph.geometry.approach, *after
 
     for force in (-6.0, 6.0):
-        assert_same(compiled(told, held, force), compiled(told, free, force), atol=1e-9)
+        assert_same(compiled(judged, held, force), compiled(judged, free, force), atol=1e-9)
 
 
 def test_motion_corrects_three_types_by_bayes_rule() -> None:
