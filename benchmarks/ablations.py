@@ -2,12 +2,11 @@
 
 Each row replaces one expression in a copy of the library, trains, and measures:
 
-    contactgraph collect release --episodes 60 --seed 300 --out TRAIN.h5
-    contactgraph collect release --episodes 30 --seed 1300 --out TEST.h5
-    python benchmarks/ablations.py TRAIN.h5 TEST.h5 --out ablations/release
+    python benchmarks/ablations.py release,delay,multi-pickup --out ablations
 
-What is measured already in the folder is kept. The first row is the library as it is, trained with
-three seeds, whose range is the noise of the others, trained once.
+Data are 60 recorded trajectories of seed 300, and 30 of seed 1300 for tests. What is measured
+already in the folder is kept. The first row is the library as it is, trained with three seeds,
+whose range is the noise of the others, trained once.
 """
 
 import argparse
@@ -15,14 +14,18 @@ import csv
 import json
 import os
 import shutil
+import statistics
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import contactgraph
 
 PACKAGE = Path(contactgraph.__file__).parent
+RECORDED = {"train": (60, 300), "test": (30, 1300)}
+"""Episodes and seed of the trajectories of a task."""
 KEYS = {
     "forced_cm": ("forced", "n_step_rmse_moving_inferred_m", 100.0),
     "forced_mean_cm": ("forced", "n_step_mean_moving_inferred_m", 100.0),
@@ -260,78 +263,115 @@ ABLATIONS = (
         "touching = touching + 0.0 * across",
     ),
 )
+NOTHING, SEEDS = "nothing", range(3)
 
 
-def measure(folder: Path, train: Path, test: Path, ablation: Ablation | None, seed: int) -> None:
-    """Writes the outputs of both evaluations into a new ``folder``, by a process of its own."""
-    with_part = folder.with_suffix(".part")
-    shutil.rmtree(with_part, ignore_errors=True)
-    copy = with_part / "src" / PACKAGE.name
+def command(log: Path, package: Path, *lines: list[object]) -> None:
+    """Runs command lines in a process of the library in the folder ``package``."""
+    given = [[str(word) for word in line] for line in lines]
+    code = f"from contactgraph.cli.main import run\nexit(max(map(run, {given})))"
+    environment = {**os.environ, "PYTHONPATH": str(package)}
+    with log.open("w") as output:
+        subprocess.run(
+            [sys.executable, "-c", code], env=environment, check=True, stdout=output, stderr=output
+        )
+
+
+def measure(folder: Path, ablation: Ablation | None, seed: int) -> None:
+    """Writes both evaluations into a new ``folder`` beside the recorded trajectories."""
+    part = folder.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    copy = part / "src" / PACKAGE.name
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__", "pretrained"))
     if ablation is not None:
         ablation.apply(copy)
-    run = with_part / "run"
-    commands = [
-        ["train", train, "--out", run, "--seed", seed],
-        ["evaluate", run, test, "--json", with_part / "recorded.json"],
-        ["evaluate", run, test, "--forced", "--json", with_part / "forced.json"],
-    ]
-    lines = [[str(word) for word in command] for command in commands]
-    code = f"from contactgraph.cli.main import run\nexit(max(map(run, {lines})))"
-    environment = {**os.environ, "PYTHONPATH": str(copy.parent)}
-    with (with_part / "log").open("w") as log:
-        subprocess.run(
-            [sys.executable, "-c", code], env=environment, check=True, stdout=log, stderr=log
-        )
-    shutil.rmtree(with_part / "src")
-    with_part.rename(folder)
+    run, test = part / "run", folder.parent / "test.h5"
+    command(
+        part / "log",
+        copy.parent,
+        ["train", folder.parent / "train.h5", "--out", run, "--seed", seed],
+        ["evaluate", run, test, "--json", part / "recorded.json"],
+        ["evaluate", run, test, "--forced", "--json", part / "forced.json"],
+    )
+    shutil.rmtree(part / "src")
+    part.rename(folder)
 
 
 def numbers(folder: Path) -> dict[str, float]:
-    """The columns of a measured row."""
+    """The columns of a measured training, NaN for what is not known."""
     found = {
         kind: json.loads((folder / f"{kind}.json").read_text()) for kind, _, _ in KEYS.values()
     }
     return {
-        name: factor * value
+        name: factor * float("nan" if (value := found[kind].get(key)) is None else value)
         for name, (kind, key, factor) in KEYS.items()
-        if (value := found[kind].get(key)) is not None
     }
+
+
+def folder_of(task: Path, name: str, seed: int) -> Path:
+    """Of a training without the mechanism of that name."""
+    return task / f"{name.replace(' ', '-')}-{seed}"
+
+
+def table(tasks: list[Path]) -> list[dict[str, object]]:
+    """The measured rows: median, least and greatest number of the trainings, for each task."""
+    rows: list[dict[str, object]] = []
+    for name in (NOTHING, *(one.name for one in ABLATIONS)):
+        row: dict[str, object] = {"taken_out": name}
+        for task in tasks:
+            folders = (folder_of(task, name, seed) for seed in SEEDS)
+            measured = [numbers(folder) for folder in folders if folder.is_dir()]
+            for key in KEYS:
+                values = sorted(each[key] for each in measured)
+                of_values = ("median", statistics.median), ("low", min), ("high", max)
+                for end, summary in of_values if values else ():
+                    row[f"{task.name}_{key}_{end}".replace("-", "_")] = f"{summary(values):.4g}"
+        rows.append(row)
+    return rows
 
 
 def main() -> None:
     """Measure what lacks, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("train", type=Path)
-    parser.add_argument("test", type=Path)
+    parser.add_argument("tasks", help="names, separated by commas")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", default="", help="parts of names, separated by commas")
+    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    jobs: list[tuple[str, Ablation | None, int]] = [("nothing", None, seed) for seed in range(3)]
+    tasks = [given.out / name for name in given.tasks.split(",")]
+    for task in tasks:
+        task.mkdir(parents=True, exist_ok=True)
+        for name, (episodes, seed) in RECORDED.items():
+            if not (task / f"{name}.h5").is_file():
+                counts = ["--episodes", episodes, "--seed", seed]
+                line = ["collect", task.name, *counts, "--out", task / f"{name}.h5"]
+                command(task / f"{name}.log", PACKAGE.parent, line)
     wanted = [each.strip() for each in given.only.split(",")]
-    jobs += [(one.name, one, 0) for one in ABLATIONS if any(each in one.name for each in wanted)]
-    rows = []
-    for name, ablation, seed in jobs:
-        folder = given.out / f"{name.replace(' ', '-')}-{seed}"
+    chosen = [one for one in ABLATIONS if any(each in one.name for each in wanted)]
+    jobs: list[tuple[Path, str, Ablation | None, int]] = []
+    for task in tasks:
+        jobs += [(task, NOTHING, None, seed) for seed in SEEDS]
+        jobs += [(task, one.name, one, SEEDS[0]) for one in chosen]
+
+    def done(job: tuple[Path, str, Ablation | None, int]) -> None:
+        task, name, ablation, seed = job
+        folder = folder_of(task, name, seed)
         if not folder.is_dir():
             try:
-                measure(folder, given.train, given.test, ablation, seed)
+                measure(folder, ablation, seed)
             except subprocess.CalledProcessError:
                 print(f"{name}: failed, see {folder.with_suffix('.part') / 'log'}", flush=True)
-                continue
-        rows.append({"taken_out": name, "seed": seed, **numbers(folder)})
-        print(
-            "  ".join(
-                f"{value:.4g}" if isinstance(value, float) else str(value)
-                for value in rows[-1].values()
-            ),
-            flush=True,
-        )
-        with (given.out / "ablations.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, ["taken_out", "seed", *KEYS], restval="")
-            writer.writeheader()
-            writer.writerows(rows)
+                return
+        texts = (f"{key} {value:.4g}" for key, value in numbers(folder).items())
+        print(f"{task.name}, {name}, {seed}: {', '.join(texts)}", flush=True)
+
+    with ThreadPoolExecutor(given.jobs) as pool:
+        list(pool.map(done, jobs))
+    rows = table(tasks)
+    with (given.out / "ablations.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys(), restval="")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -40,9 +40,9 @@ EVERY = pytest.mark.parametrize("name", list(TASKS))
 
 @pytest.fixture(scope="module")
 def recorded(engine):
-    """Of each task, 6 episodes of the training expert and 6 of handling."""
+    """Of each task, 6 episodes of the training expert and 12 of handling."""
     return {
-        name: collect([task], [expert()] * 6 + [HandlingPolicy()] * 6, 12, 0)
+        name: collect([task], [expert()] * 6 + [HandlingPolicy()] * 12, 18, 0)
         for name, (task, expert) in TASKS.items()
     }
 
@@ -92,6 +92,19 @@ def test_the_explorer_pulls_whether_the_body_holds_or_not(name, recorded):
     touching, holding = pairs_of(handled, "contact"), pairs_of(handled, "holding")
     assert len(held) >= 10 and held.mean() < np.sum(holding) / np.sum(touching) + 0.15
     assert pull_warning(Dataset(tuple(recorded[name]))) is None
+
+
+def test_the_explorer_touches_what_it_lost_again_at_once_or_later(recorded):
+    waits = []
+    for run in recorded["hidden-switch"][6:]:
+        change = np.diff(run.contact[:, GRIPPER, TARGET].astype(int))
+        ends, begins = (np.flatnonzero(change == sign) for sign in (-1, 1))
+        after = np.searchsorted(begins, ends)
+        again = after < len(begins)
+        waits += list((begins[after[again]] - ends[again]) * run.scene.dt)
+    waits = np.array(waits)
+    at_once = (waits > 0.07) & (waits < 0.8)  # not a bounce for one step
+    assert np.mean(at_once) > 0.1 and np.mean(waits > 0.8) > 0.1, np.round(waits, 2)
 
 
 def test_an_expert_that_pulls_only_what_it_holds_is_a_warning(recorded):

@@ -34,16 +34,15 @@ class HandlingPolicy:
     It looks at positions and contacts, not at holding. A body is approached from the side from
     which pressing moves it towards a random point of the scene. A handling then is two to five
     actions: the gripper presses it on for 0.1 to 1.5 s, pulls back for 0.2 to 0.6 s, or moves it
-    about for 0.5 to 1.5 s; in the end it stands still and leaves. Contact that is lost ends it.
+    about for 0.5 to 1.5 s; in the end it stands still and leaves. Where contact is lost before, it
+    leaves, or in half of the cases goes straight back: plans ask what happens then.
 
     Where the control has a switch, it is on at the start of half of the handlings, and changes
-    ``switching`` times a second in them. ``press`` is the share of actions that press. ``noise`` N
-    is the standard deviation of the force that is added on each axis.
+    0.7 times a second in them. Noise of 0.1 N on each axis is added to the force.
     """
 
-    def __init__(self, press: float = 0.7, switching: float = 0.7, noise: float = 0.1) -> None:
-        self._press, self._switching = press, switching
-        self._noise = CorrelatedNoise(noise, correlation_steps=2.0)
+    def __init__(self) -> None:
+        self._noise = CorrelatedNoise(0.1, correlation_steps=2.0)
         self._rng = np.random.default_rng(0)
         self._dt, self._has_switch = 0.0, False
         self._action, self._left, self._due = "leave", 0.0, 0
@@ -72,21 +71,21 @@ class HandlingPolicy:
         if not self._has_switch:
             return force
         handles = self._action not in ("approach", "leave")
-        if handles and self._rng.random() < self._switching * self._dt:
+        if handles and self._rng.random() < 0.7 * self._dt:
             self._switch = 1.0 - self._switch
         return np.append(force, self._switch)
 
     def _choose_action(self, observation: Observation, touching: set[int]) -> None:
         """Begins the next action where the present one is over."""
-        if self._action == "approach":
-            if self._body in touching:
-                self._due = int(self._rng.integers(2, 6))
-                self._begin(self._drawn())
-            elif self._left <= 0.0:
-                self._choose_body(observation["position"], touching)
-        elif self._action == "leave":
+        if self._action == "approach" and self._body in touching:
+            self._due = int(self._rng.integers(2, 6))
+            self._begin(self._drawn())
+        elif self._action in ("approach", "leave"):
             if self._left <= 0.0:
                 self._choose_body(observation["position"], touching)
+        elif self._body not in touching and self._rng.random() < 0.5:
+            own, body = (observation["position"][node] for node in (GRIPPER, self._body))
+            self._approach(self._body, 2.0 * body - own)
         elif self._body not in touching or (self._action == "still" and self._left <= 0.0):
             self._begin("leave")
             self._switch, self._tearing = 0.0, self._left - _TEARING
@@ -96,8 +95,7 @@ class HandlingPolicy:
 
     def _drawn(self) -> str:
         """An action of a handling."""
-        others = (1.0 - self._press) / 2.0
-        return str(self._rng.choice(("press", "pull", "carry"), p=(self._press, others, others)))
+        return str(self._rng.choice(("press", "pull", "carry"), p=(0.7, 0.15, 0.15)))
 
     def _begin(self, action: str) -> None:
         self._action = action
@@ -113,11 +111,13 @@ class HandlingPolicy:
             self._begin("carry")
             return
         outermost = max(bodies, key=lambda node: float(np.linalg.norm(position[node])))
-        self._body = outermost if self._rng.random() < 0.5 else int(self._rng.choice(bodies))
-        self._aim = self._rng.uniform(-0.7 * HALF_WIDTH, 0.7 * HALF_WIDTH, 2)
-        self._action, self._left = "approach", _PATIENCE
-        self._strength = float(self._rng.uniform())
+        body = outermost if self._rng.random() < 0.5 else int(self._rng.choice(bodies))
+        self._approach(body, self._rng.uniform(-0.7 * HALF_WIDTH, 0.7 * HALF_WIDTH, 2))
         self._switch = float(self._rng.random() < 0.5)
+
+    def _approach(self, body: int, aim: np.ndarray) -> None:
+        self._action, self._left = "approach", _PATIENCE
+        self._body, self._aim, self._strength = body, aim, float(self._rng.uniform())
 
     def _force(self, position: np.ndarray, velocity: np.ndarray, mass: int) -> np.ndarray:
         """[2] N of the present action, for the gripper and ``mass - 1`` bodies that touch it."""
