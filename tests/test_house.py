@@ -81,9 +81,9 @@ ROOMS = {"contactgraph/envs": 5_562}
 LONGEST_FILE = 400
 """100 to 250 lines are usual."""
 MODULES_BEHIND = {
-    "contactgraph.model.contact_dynamics": 22,  # a prediction step
+    "contactgraph.model.contact_dynamics": 19,  # a prediction step
     "contactgraph.train.fit": 41,  # a training step, its held-out error and signs of a dead network
-    "contactgraph.control.active_set": 46,  # a control step
+    "contactgraph.control.active_set": 43,  # a control step
 }
 FRAMES = 17
 """Calls from the command `contactgraph control` to the first one in the model, in a plan."""

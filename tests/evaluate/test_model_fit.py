@@ -11,7 +11,7 @@ from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import DoorTask, PickupTask
 from contactgraph.evaluate import control_task, evaluate_open_loop, model_diagnostics
 from contactgraph.model import PRESETS, ModelConfig
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 
 ANCHOR = np.array([[np.nan, np.nan], [0.3, 0.4]])
 HINGED, FREE = scene_of(2, anchor=ANCHOR), scene_of(2)

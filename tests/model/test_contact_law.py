@@ -23,8 +23,8 @@ from contactgraph.model import (
     ours,
     scene_nodes,
 )
-from contactgraph.model.filter import check_fit
 from contactgraph.model.presets import PLANE
+from contactgraph.model.scene import check_fit
 
 DT, STEPS = 0.05, 20
 TYPES = ("ball", "pillar", "hand")

@@ -11,7 +11,7 @@ from model_scenes import DT, PRESETS, compiled, crowd, hinged, nodes_of, preset
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ContactDynamics, LinearDynamics, ModelConfig, ModelState
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 CASES = [("recurrent", True), ("paper_literal", False)]

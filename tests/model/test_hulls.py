@@ -19,7 +19,7 @@ from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import composed, levers, placed, rotation_matrix
 from contactgraph.data import Scene, generalized_coordinates
 from contactgraph.data.outlines import hull_rows, outline_moments
-from contactgraph.data.trajectory_batch import pad_nodes
+from contactgraph.data.padding import pad_nodes
 from contactgraph.data.turns import quaternions, turn_between
 from contactgraph.dynamics.body_types import DECELERATION, PACE
 from contactgraph.inference.contact_belief import nothing_active

@@ -16,10 +16,10 @@ from contactgraph.bodies.polygons import contact_points
 from contactgraph.bodies.rotations import levers, placed, turned
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.data.outlines import signed_area
-from contactgraph.data.trajectory_batch import pad_nodes
+from contactgraph.data.padding import pad_nodes
 from contactgraph.inference.contact_belief import ContactBelief
 from contactgraph.model import ContactDynamics, ModelConfig, ModelState, scene_nodes
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 
 pytestmark = pytest.mark.usefixtures("double_precision")
 

@@ -13,7 +13,7 @@ from contactgraph.envs.episodes import collect
 from contactgraph.envs.relation_tasks import SPRING_DT, SPRING_STIFFNESS
 from contactgraph.identify import relation_facts
 from contactgraph.model import HOLD, ModelConfig
-from contactgraph.model.filter import on_device
+from contactgraph.model.scene import on_device
 from contactgraph.relations import relations, trajectory_belief
 from contactgraph.train import TrainConfig, fit, initial_state
 

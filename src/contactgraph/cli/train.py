@@ -121,8 +121,8 @@ class Train:
         from contactgraph.interchange import pull_warning, velocity_warning
         from contactgraph.large_scenes import ReallocatingModel
         from contactgraph.model import PRESETS
-        from contactgraph.model.filter import check_controls
         from contactgraph.model.io import save_model
+        from contactgraph.model.scene import check_controls
         from contactgraph.train import (
             FitProgress,
             FitState,

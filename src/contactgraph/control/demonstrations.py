@@ -25,13 +25,8 @@ from contactgraph.data import (
 )
 from contactgraph.inference.features import turn_length_of
 from contactgraph.model import ContactBelief, LinearDynamics, StepModel, default_sensor
-from contactgraph.model.filter import (
-    FilteredTrajectory,
-    check_fit,
-    dtype_of,
-    filter_trajectory,
-    on_device,
-)
+from contactgraph.model.filter import FilteredTrajectory, filter_trajectory
+from contactgraph.model.scene import check_fit, dtype_of, on_device
 
 _LASTS = 0.9
 """Part of the steps since a contact began in which it must be active to count as kept."""

@@ -1,10 +1,8 @@
-"""Layout of the contact graph: pairs of nodes, ids of edges, candidate edges of a scene."""
+"""Layout of the contact graph: pairs of nodes, and ids of edges."""
 
 from typing import Any
 
 import numpy as np
-
-from contactgraph.data.trajectory import Scene
 
 
 def pair_count(node_count: Any) -> Any:
@@ -29,21 +27,6 @@ def edge_id(first: Any, second: Any) -> Any:
     Both are integers, or integer arrays of NumPy or JAX.
     """
     return second * (second - 1) // 2 + first
-
-
-def candidate_pairs(scene: Scene, node_capacity: int) -> np.ndarray:
-    """[E] bool: which of the pairs of ``node_capacity`` nodes are candidate edges of a scene.
-
-    A pair listed in either direction is one; a pair with padding is none. The capacity must be at
-    least the scene's number of nodes.
-    """
-    pairs = pair_indices(node_capacity)
-    candidate = pairs[:, 1] < scene.node_count  # the larger index of the two
-    if scene.candidate_edges is not None:
-        listed = np.zeros((node_capacity, node_capacity), dtype=bool)
-        listed[scene.candidate_edges[:, 0], scene.candidate_edges[:, 1]] = True
-        candidate &= (listed | listed.T)[pairs[:, 0], pairs[:, 1]]
-    return candidate
 
 
 def joined(contact: np.ndarray) -> np.ndarray:

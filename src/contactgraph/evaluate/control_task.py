@@ -38,7 +38,7 @@ from contactgraph.model import (
     default_sensor,
     turn_length_of,
 )
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()

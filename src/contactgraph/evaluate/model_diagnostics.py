@@ -33,12 +33,7 @@ from contactgraph.model import (
     rollout,
     stack_state,
 )
-from contactgraph.model.filter import (
-    check_fit,
-    dtype_of,
-    on_device,
-    trajectory_for,
-)
+from contactgraph.model.scene import check_fit, dtype_of, on_device, trajectory_for
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ from contactgraph.model import (
     check_motion_model,
     default_sensor,
 )
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 
 _EXACT = SensorFaults()
 

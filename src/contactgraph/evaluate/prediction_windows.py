@@ -33,7 +33,7 @@ from contactgraph.evaluate.trajectory_prediction import (
 from contactgraph.inference.features import turn_length_of
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
-from contactgraph.model.filter import trajectory_for
+from contactgraph.model.scene import trajectory_for
 
 
 def trajectory_detail(

@@ -14,8 +14,8 @@ from contactgraph.bodies.rotations import placed
 from contactgraph.data.dataset import Dataset
 from contactgraph.data.graph import joined, pair_indices
 from contactgraph.data.outlines import outline_moments
+from contactgraph.data.padding import pad_nodes
 from contactgraph.data.trajectory import Scene, Trajectory, box_distance
-from contactgraph.data.trajectory_batch import pad_nodes
 from contactgraph.data.turns import rotation_vectors
 from contactgraph.model.presets import ModelConfig
 

@@ -46,7 +46,6 @@ from contactgraph.inference.motion_noise import MotionNoise as MotionNoise
 from contactgraph.model.body_mass import MassBelief as MassBelief
 from contactgraph.model.body_mass import correct_masses as correct_masses
 from contactgraph.model.body_mass import first_masses as first_masses
-from contactgraph.model.body_mass import told_log_mass as told_log_mass
 from contactgraph.model.body_mass import with_masses as with_masses
 from contactgraph.model.contact_dynamics import ContactDynamics as ContactDynamics
 from contactgraph.model.io import PRESETS as PRESETS
@@ -76,9 +75,10 @@ from contactgraph.model.presets import Inference as Inference
 from contactgraph.model.presets import ModelConfig as ModelConfig
 from contactgraph.model.presets import Preset as Preset
 from contactgraph.model.presets import ours as ours
+from contactgraph.model.scene import scene_nodes as scene_nodes
+from contactgraph.model.scene import told_log_mass as told_log_mass
 from contactgraph.model.step import ModelState as ModelState
 from contactgraph.model.step import StepModel as StepModel
 from contactgraph.model.step import control_displacement as control_displacement
 from contactgraph.model.step import rollout as rollout
-from contactgraph.model.step import scene_nodes as scene_nodes
 from contactgraph.model.step import take_step as take_step

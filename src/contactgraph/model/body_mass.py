@@ -15,7 +15,6 @@ import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
-from contactgraph.data import Scene
 from contactgraph.data.graph import pair_indices
 from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.body_types import PACE
@@ -28,7 +27,7 @@ from contactgraph.model.motion_likelihood import (
     most_probable,
     motion_given_types,
 )
-from contactgraph.model.step import ModelState, StepModel, scene_nodes
+from contactgraph.model.step import ModelState, StepModel
 
 _ITERATIONS = 2
 """Linearisations a step from each beginning: an impact is far from linear in the mass."""
@@ -51,7 +50,7 @@ class MassBelief(eqx.Module):
 Masses = TypeVar("Masses", bound=MassBelief | None)
 
 
-def _varying_types(model: Any) -> Any:
+def varying_types(model: Any) -> Any:
     """The types of bodies of a model in which masses differ within a type, else None."""
     types = getattr(getattr(model, "local_dynamics", None), "head", None)
     return None if getattr(types, "log_spread", None) is None else types
@@ -62,7 +61,7 @@ def first_masses(model: Any, nodes: Nodes) -> MassBelief | None:
 
     Masses that the ``nodes`` tell, and those of actuated nodes, are certain.
     """
-    head = _varying_types(model)
+    head = varying_types(model)
     if head is None:
         return None
     types = model.features.node_type(nodes, head.log_mass.dtype)
@@ -70,20 +69,6 @@ def first_masses(model: Any, nodes: Nodes) -> MassBelief | None:
     if nodes.log_mass is not None:
         return MassBelief(nodes.log_mass, jnp.zeros_like(spread))
     return MassBelief(jnp.zeros_like(spread), jnp.where(nodes.passive, spread**2, 0.0))
-
-
-def told_log_mass(model: Any, scene: Scene) -> np.ndarray | None:
-    """[N] `Nodes.log_mass` of the masses that a scene tells, in units of the first actuated node's.
-
-    None where bodies of a type weigh alike in the model, or the scene tells no mass or has no such
-    node.
-    """
-    head = _varying_types(model)
-    if head is None or scene.mass is None or not scene.actuated.any():
-        return None
-    types = np.asarray(model.features.node_type(scene_nodes(scene), head.log_mass.dtype))
-    missing = np.log(scene.mass) - PACE * types @ np.asarray(head.log_mass)
-    return np.asarray(missing - missing[np.argmax(scene.actuated)])
 
 
 def with_masses(nodes: Nodes, masses: MassBelief | None) -> Nodes:
@@ -189,7 +174,7 @@ def trajectory_masses(
 def mass_score(model: ContactDynamics, masses: MassBelief, nodes: Nodes) -> Float[Array, " N"]:
     """Negative log-likelihood, nat, of beliefs that motion has led to, by which the mean and the
     spread of the masses of a type are learned."""
-    head = _varying_types(model)
+    head = varying_types(model)
     types = model.features.node_type(nodes, head.log_mass.dtype)
     own, log_spread = PACE * types @ head.log_mass, PACE * types @ head.log_spread
     away = jax.lax.stop_gradient(masses.mean + own) - own

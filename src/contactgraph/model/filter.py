@@ -1,126 +1,19 @@
-"""The filter: corrections of a predicted belief by an observation; along recorded trajectories."""
+"""The filter: corrections of a predicted belief by an observation; along trajectories."""
 
 import dataclasses
-import math
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.data import (
-    InvalidInputError,
-    Scene,
-    Trajectory,
-    TrajectoryBatch,
-    pad_trajectories,
-)
-from contactgraph.data.trajectory_batch import Nodes
+from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.dynamics.local_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, ContactSensor, cast_like, correct
-from contactgraph.inference.features import turn_length_of
 from contactgraph.inference.motion_noise import Motion, MotionNoise
 from contactgraph.model.body_mass import MassBelief, correct_masses, first_masses, with_masses
 from contactgraph.model.motion_likelihood import check_motion_model, correct_by_motion
 from contactgraph.model.step import ModelState, StepModel
-
-
-def check_fit(model: Any, scene: Scene, control_size: int, other: str) -> None:
-    """Raises `InvalidInputError` where a scene or its control do not suit the model.
-
-    ``other`` names what does not, e.g. ``"the data"``. Only models with `Features`, such as a
-    `ContactDynamics`, declare what they are for.
-    """
-    if not hasattr(model, "features"):
-        return
-    if model.neighbor_list is not None:
-        raise InvalidInputError(
-            f"beliefs about {other} are over all pairs, so the model must have no neighbor list "
-            "(neighbor_list=None)"
-        )
-    for what, found, wanted in (
-        ("dimension D", scene.dimension, model.dimension),
-        ("control size U", control_size, model.control_size),
-    ):
-        if found != wanted:
-            raise InvalidInputError(
-                f"the model is for {what} {wanted}, but {other} has {found}; they must agree"
-            )
-    if not math.isclose(scene.dt, model.dt, rel_tol=1e-6):
-        raise InvalidInputError(
-            f"the model is for dt {model.dt:g} s, but {other} has {scene.dt:g} s; they must agree"
-        )
-    check_controls(model, scene, control_size, other)
-    unknown = sorted(set(scene.node_type) - set(model.features.types))
-    if model.features.types and unknown:
-        raise InvalidInputError(
-            f"{other} has nodes of type {', '.join(unknown)}, which the model does not know; it "
-            f"knows {', '.join(model.features.types)}"
-        )
-    if model.features.turn_length is not None and not scene.polygons:
-        raise InvalidInputError(
-            f"the model is for bodies that turn, but {other} has no polygons, their outlines"
-        )
-    if model.features.hinges is True and not scene.hinged.any():
-        raise InvalidInputError(
-            f"the model is for bodies on hinges, but {other} has no anchor, the position of "
-            "each hinge"
-        )
-    if model.features.hinges is False and scene.hinged.any():
-        raise InvalidInputError(
-            f"the model has no hinges, but {other} has an anchor; train a model on such data"
-        )
-
-
-def check_controls(model: Any, scene: Scene, control_size: int, other: str) -> None:
-    """Raises `InvalidInputError` where the model's control does not reach a degree of freedom.
-
-    Component d of the control moves degree of freedom d of every actuated node, and further ones
-    move nothing. Free matrices (`FreeLinearDynamics`) map any control to any motion.
-    """
-    aligned = getattr(getattr(model, "local_dynamics", None), "axis_aligned", False)
-    if control_size < scene.dimension and scene.actuated.any() and aligned:
-        raise InvalidInputError(
-            f"{other} has actuated nodes, but control size U {control_size}; it must be at least "
-            f"D = {scene.dimension}, because component d of the control moves degree of freedom d "
-            "(zeros where there is no drive), or no node may be actuated"
-        )
-
-
-def on_device(batch: TrajectoryBatch[np.ndarray], dtype: np.dtype) -> TrajectoryBatch[Array]:
-    """The same trajectories as JAX arrays; floating-point numbers have the type ``dtype``."""
-
-    def moved(leaf: np.ndarray) -> Array:
-        return jnp.asarray(leaf, dtype if np.issubdtype(leaf.dtype, np.floating) else None)
-
-    return jax.tree.map(moved, batch)
-
-
-def trajectory_for(
-    model: object,
-    trajectory: Trajectory,
-    node_capacity: int | None = None,
-    steps: int | None = None,
-    contacts: bool = True,
-) -> TrajectoryBatch[Array]:
-    """One trajectory in the coordinates of the model, without a batch axis: `pad_trajectories`."""
-    batch = pad_trajectories(
-        (trajectory,),
-        node_capacity,
-        steps,
-        contacts=contacts,
-        turn_length=turn_length_of(model),
-    )
-    return on_device(batch.at(0), dtype_of(model))
-
-
-def dtype_of(model: object) -> np.dtype:
-    """The floating type of the model's weights; JAX's default where it has none."""
-    for leaf in jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array)):
-        return np.dtype(leaf.dtype)
-    return np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
 
 
 class FilteredTrajectory(eqx.Module):

@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from contactgraph.data import Scene
-from contactgraph.data.trajectory_batch import Nodes, pad_nodes
+from contactgraph.data.trajectory_batch import Nodes
 from contactgraph.dynamics.local_dynamics import LinearDynamics
 from contactgraph.inference.contact_belief import ContactBelief, cast_like
 
@@ -23,15 +22,6 @@ class ModelState(eqx.Module):
     """m/s"""
     belief: ContactBelief
     """About the step that led to this state; the next belief is predicted from it."""
-
-
-def scene_nodes(scene: Scene, node_capacity: int | None = None) -> Nodes:
-    """The nodes of a scene, padded to ``node_capacity`` (default: no padding).
-
-    Raises `InvalidInputError` where the scene has more nodes.
-    """
-    capacity = scene.node_count if node_capacity is None else node_capacity
-    return jax.tree.map(jnp.asarray, pad_nodes(scene, capacity))
 
 
 class StepModel(Protocol):

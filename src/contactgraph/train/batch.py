@@ -12,7 +12,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import PROPERTIES, Nodes, TrajectoryBatch
+from contactgraph.data.padding import PROPERTIES
+from contactgraph.data.trajectory_batch import Nodes, TrajectoryBatch
 from contactgraph.data.windows import window_weights
 
 Tree = TypeVar("Tree")

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from contactgraph.data.dataset import Dataset, near_origin, with_edge_labels
-from contactgraph.data.trajectory_batch import pad_trajectories
+from contactgraph.data.padding import pad_trajectories
 from contactgraph.model.contact_dynamics import ContactDynamics
 from contactgraph.train.batch import batch_split, has_resting_bodies, window_source
 from contactgraph.train.expectation_maximisation import ExpectationMaximisation

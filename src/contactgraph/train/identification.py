@@ -21,10 +21,11 @@ from jaxtyping import Array, Bool, Float, Int
 from contactgraph.bodies.graph import EdgeList, EncodedGraph, edge_count, first_where
 from contactgraph.data.dataset import Dataset, with_edge_labels
 from contactgraph.data.errors import InvalidInputError
-from contactgraph.data.trajectory_batch import TrajectoryBatch, pad_trajectories
+from contactgraph.data.padding import pad_trajectories
+from contactgraph.data.trajectory_batch import TrajectoryBatch
 from contactgraph.inference.contact_belief import ContactSensor
 from contactgraph.model.contact_dynamics import ContactDynamics
-from contactgraph.model.filter import on_device
+from contactgraph.model.scene import on_device
 from contactgraph.train.batch import chunked_vmap, window_source
 from contactgraph.train.expectation_maximisation import steps_of_types
 from contactgraph.train.motion_evidence import encode_evidence, filter_steps, motion_evidence

@@ -20,7 +20,7 @@ from contactgraph.model import (
     MotionNoise,
     default_sensor,
 )
-from contactgraph.model.filter import check_fit, trajectory_for
+from contactgraph.model.scene import check_fit, trajectory_for
 
 EDGE_STATES = ("free", "touch", "hold", "contact")
 """Drawn states of an edge; the last is touch or hold, where holding was not recorded."""

@@ -11,7 +11,7 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.evaluate.plan_tracking import plan_feedback
 from contactgraph.evaluate.task_cost import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
-from contactgraph.model.filter import check_fit
+from contactgraph.model.scene import check_fit
 from contactgraph_franka.loop import EpisodeStart, PlanFeedback, TimedObservation
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])
