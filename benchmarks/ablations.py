@@ -91,9 +91,6 @@ ABLATIONS = (
     ),
     Ablation("far bodies hold less", _EDGES, "_DISTANT = 10.0", "_DISTANT = 0.0"),
     Ablation(
-        "gradient beyond the least transition", _EDGES, "_UNBOUNDED = 0.1", "_UNBOUNDED = 0.0"
-    ),
-    Ablation(
         "least transitions",
         "model/presets.py",
         "_MIN_TRANSITION, _MIN_TRANSITION_RATE = 2e-3, 0.04",
@@ -142,12 +139,6 @@ ABLATIONS = (
         "second = jnp.where(False, throughout_first, second)",
     ),
     Ablation(
-        "a touch for a part of a step",
-        _NOISE,
-        "second = jnp.where(touches & (first == last), first * types, second)",
-        "second = jnp.where(False, first * types, second)",
-    ),
-    Ablation(
         "a hold may begin in the last instant",
         _NOISE,
         "begins = (touches | (first == 0)) & jnp.asarray(holds)[last]",
@@ -176,12 +167,6 @@ ABLATIONS = (
         _NOISE,
         "return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)",
         "return 0.0 * self.log_share + _LEAST_SHARE",
-    ),
-    Ablation(
-        "error of fast bodies",
-        _NOISE,
-        "return jnp.exp(_PACE * self.log_drift)",
-        "return 0.0 * self.log_drift",
     ),
     Ablation(
         "edges judged as touching",

@@ -29,8 +29,6 @@ _TOUCHES, _STAYS_FREE = 3.0, 10.0
 """Log odds, beside those of geometry, that a touch of bodies without a gap lasts, and that such
 bodies which are free stay so while they do not approach each other. They are not learned: motion
 hardly tells a touch from none."""
-_UNBOUNDED = 0.1
-"""Share of the gradient that is kept beyond the least transition."""
 _MIN_PROBABILITY, _SMALLEST = 1e-6, 1e-24
 
 
@@ -288,13 +286,8 @@ class DurationEdges(EdgeInference):
 def _bounded_softmax(
     logits: Float[Array, "E K A K"], least: Float[Array, "E 1 1 K"]
 ) -> Float[Array, "E K A K"]:
-    """Softmax, at least ``least``; a part of its gradient is that without the bound.
-
-    Beyond the bound logits have no effect, and without any gradient they would never return.
-    """
-    unbounded = jax.nn.log_softmax(logits)
-    bounded = least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * jnp.exp(unbounded)
-    return bounded * jnp.exp(_UNBOUNDED * (unbounded - jax.lax.stop_gradient(unbounded)))
+    """Softmax, at least ``least``."""
+    return least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * jax.nn.softmax(logits)
 
 
 def smoothed_flows(

@@ -1,7 +1,5 @@
 """Noise of observed and predicted motion, and the likelihood of the types of an edge."""
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -50,8 +48,6 @@ class MotionNoise(eqx.Module):
     """Of a predicted position after one step, m."""
     model_velocity: float | Float[Array, "*N"] = 1e-2
     """Of a predicted velocity after one step, m/s."""
-    model_drift: float | Float[Array, ""] = 0.0
-    """Error of a predicted velocity as a share of the speed before."""
     model_share: float = _SHARE
     """Relative error of the predicted effect of a contact, as far as that tells masses."""
     type_share: float | Float[Array, " active"] = _SHARE
@@ -72,16 +68,6 @@ class MotionNoise(eqx.Module):
                 raise InvalidInputError(
                     f"{name} and model_{name} must not both be 0, since no motion would fit"
                 )
-
-    def at(self, velocity: Float[Array, "N D"], dt: float) -> "MotionNoise":
-        """The same for nodes that have these velocities [m/s] before the step."""
-        drift = self.model_drift**2 * jnp.sum(velocity**2, axis=-1)
-        return dataclasses.replace(
-            self,
-            model_velocity=jnp.sqrt(self.model_velocity**2 + drift),
-            model_position=jnp.sqrt(self.model_position**2 + dt**2 * drift),
-            model_drift=0.0,
-        )
 
     def log_ratios(
         self,
@@ -120,14 +106,13 @@ class MotionNoise(eqx.Module):
         likelihood = _log_density(observed, middle, variance_x, variance_v, self.tail)
         likelihood = likelihood - 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         # Bodies that meet as geometry foresees move as with that contact throughout, and a hold may
-        # end in the last instant. Bodies side by side may touch for a part of the step only.
+        # end in the last instant.
         pushes = np.array([False, *(each.unilateral for each in edge_types)])
         holds = np.array([False, *(each.holds for each in edge_types)])
         touches = jnp.asarray(pushes)[first]
         throughout_first, throughout_last = first * (types + 1), last * (types + 1)
         second = jnp.where(first == 0, throughout_last, jnp.arange(types**2))
         second = jnp.where(~touches & (first > last), throughout_first, second)
-        second = jnp.where(touches & (first == last), first * types, second)
         likelihood = jnp.logaddexp(likelihood, likelihood[second]) - jnp.log(2.0)
         # A hold may begin in the last instant, too, after a touch.
         if pushes.any():
@@ -144,8 +129,6 @@ class MotionNoise(eqx.Module):
         return jnp.clip(ratio, -self.max_log_ratio, 0.0).reshape(types, types)
 
 
-_DRIFT = 1e-3
-"""Start of `PredictionNoise.drift`."""
 _UNIFORM = 12.0**-0.5
 """Standard deviation of a uniform distribution, in units of its width."""
 _PACE = 5.0
@@ -164,9 +147,6 @@ class PredictionNoise(eqx.Module):
     log_velocity: Float[Array, ""]
     """The same of the scale in m/s."""
 
-    log_drift: Float[Array, ""]
-    """The same of the error of a velocity, in units of the speed before."""
-
     log_share: Float[Array, " active"]
     """The same of the error of each active type's effect, in units of the effect."""
 
@@ -176,7 +156,6 @@ class PredictionNoise(eqx.Module):
         """``length`` [m] is the unit of the least scales: about the distance of a contact."""
         start, self.length = MotionNoise(), length
         self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(active_types)
-        self.log_drift = jnp.log(_DRIFT) / _PACE * jnp.ones(())
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
 
@@ -195,14 +174,8 @@ class PredictionNoise(eqx.Module):
         """Of the effect of each active type."""
         return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
 
-    @property
-    def drift(self) -> Float[Array, ""]:
-        """Of a velocity, in units of the speed before."""
-        return jnp.exp(_PACE * self.log_drift)
-
     def score(
         self,
-        before: Float[Array, "N D"],
         predicted: Motion,
         unhindered: Motion,
         observed: Motion,
@@ -211,15 +184,13 @@ class PredictionNoise(eqx.Module):
     ) -> Float[Array, " N"]:
         """Negative log-likelihood of every node's residual, up to a constant.
 
-        ``before`` is their velocity [m/s] before the step, ``unhindered`` the prediction without
-        edges, and ``active`` counts each node's.
+        ``unhindered`` is the prediction without edges, and ``active`` counts each node's.
         """
         tail, dimension = MotionNoise().tail, observed[0].shape[-1]
         share = active @ self.share**2
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
-        drift = self.drift**2 * jnp.sum(before**2, axis=-1)
-        variance_x = self.position**2 + dt**2 * drift + share * (effect_x + dt**2 * effect_v)
-        variance_v = self.velocity**2 + drift + share * effect_v
+        variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
+        variance_v = self.velocity**2 + share * effect_v
         spread = 0.5 * dimension * (jnp.log(variance_x) + jnp.log(variance_v))
         return spread - _log_density(observed, predicted, variance_x, variance_v, tail)
 
@@ -228,9 +199,9 @@ def in_lengths(noise: PredictionNoise, length: float, like: PredictionNoise) -> 
     """The noise learned with a unit of ``length`` data units, in these; ``like``: one of those."""
     shift = jnp.log(length) / _PACE
     return eqx.tree_at(
-        lambda each: (each.log_position, each.log_velocity, each.log_drift, each.log_share),
+        lambda each: (each.log_position, each.log_velocity, each.log_share),
         like,
-        (noise.log_position + shift, noise.log_velocity + shift, noise.log_drift, noise.log_share),
+        (noise.log_position + shift, noise.log_velocity + shift, noise.log_share),
     )
 
 

@@ -98,7 +98,6 @@ def correct_masses(
         jnp.nan_to_num, (before.position, before.velocity, observed[1])
     )
     before = dataclasses.replace(before, position=position, velocity=velocity_before)
-    noise = noise.at(before.velocity, judge.dt)
 
     def velocity(mean: Float[Array, " N"], types: Float[Array, "E K"]) -> Float[Array, "N G"]:
         weighed = nodes._replace(log_mass=mean)

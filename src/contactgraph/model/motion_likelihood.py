@@ -53,7 +53,6 @@ def motion_noise(
         velocity,
         model_position=learned.position,
         model_velocity=learned.velocity,
-        model_drift=learned.drift,
         type_share=learned.share,
     )
 
@@ -128,7 +127,7 @@ def edge_log_ratios(
     """
 
     bodies = graph.bodies
-    noise, apart = noise.at(bodies.velocity, model.dt), _begun_apart(model, graph, observed[0])
+    apart = _begun_apart(model, graph, observed[0])
 
     def moved(types: Float[Array, "E K"]) -> Motion:
         return motion_given_types(

@@ -190,7 +190,6 @@ def dynamics_loss(
     count = position.shape[2]
     incidence = np.any(pair_indices(count)[..., None] == np.arange(count), axis=1)
     score = model.prediction_noise.score(
-        windows.velocity[:, :-1],
         jax.lax.stop_gradient((position, velocity)),
         evidence.without_edges,
         after,
