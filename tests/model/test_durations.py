@@ -90,20 +90,6 @@ def test_a_hold_lasts_as_long_wherever_its_ends_are_driven() -> None:
     assert together[0, 1, :, 2].max() > 10.0 * parting[0, 1, :, 2].max() > 0.0
 
 
-def test_odds_beyond_the_least_transition_can_return() -> None:
-    """There a step of gradient ascent was worth nothing, and an unlucky filter stayed as it was."""
-
-    def begins(odds: float) -> jax.Array:
-        inference = eqx.tree_at(
-            lambda each: each.odds, edges(), replace_fn=lambda old: odds + 0 * old
-        )
-        return jnp.log(inference.transitions(jnp.zeros((1, 8)), PRIOR)[0, 1, 0, 2])
-
-    value, slope = compiled(jax.value_and_grad(begins), -4.0)
-    np.testing.assert_allclose(value, np.log(0.5 * LEAST), rtol=1e-6)
-    np.testing.assert_allclose(slope, 0.1 * 10.0, rtol=1e-2)
-
-
 def paths(first: np.ndarray, transitions: np.ndarray, ratios: np.ndarray, apart: bool):
     """Every path of types and ages, before each step and after the last, and its weight.
 
