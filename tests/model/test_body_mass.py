@@ -28,9 +28,7 @@ from contactgraph.model.filter import filter_trajectory
 from contactgraph.model.motion_likelihood import motion_given_types
 
 STEPS, DT = 12, 0.05
-NOISE = MotionNoise(
-    model_position=1e-4, model_velocity=2e-3, model_share=0.02, type_share=jnp.full(2, 0.02)
-)
+NOISE = MotionNoise(model_position=1e-4, model_velocity=2e-3, model_share=0.02, type_share=0.02)
 SCENE = Scene(
     node_name=("pusher", "near", "far"),
     node_type=("pusher", "block", "block"),

@@ -50,8 +50,8 @@ class MotionNoise(eqx.Module):
     """Of a predicted velocity after one step, m/s."""
     model_share: float = _SHARE
     """Relative error of the predicted effect of a contact, as far as that tells masses."""
-    type_share: float | Float[Array, " active"] = _SHARE
-    """r; relative error of the predicted effect of each active edge type, or of all."""
+    type_share: float | Float[Array, ""] = _SHARE
+    """r; relative error of the predicted effect of a contact."""
     tail: float = eqx.field(static=True, default=4.0)
     """Degrees of freedom of Student's t: the fewer, the less weight has one outlier."""
     max_log_ratio: float = eqx.field(static=True, default=6.0)
@@ -91,10 +91,8 @@ class MotionNoise(eqx.Module):
         middle_x, middle_v = 0.5 * (x[first] + x[last]), 0.5 * (v[first] + v[last])
         middle_v = jnp.where(closes[:, None, None], v[last], middle_v)
         # The effect of a type, beside none, is known up to a share of it.
-        active_share = jnp.broadcast_to(self.type_share, types - 1)
-        share = jnp.concatenate([jnp.zeros(1), active_share])[:, None] ** 2
-        effect_v = share * _square(v, v[0])
-        effect_x = share * _square(x, x[0]) + dt**2 * effect_v
+        effect_v = self.type_share**2 * _square(v, v[0])
+        effect_x = self.type_share**2 * _square(x, x[0]) + dt**2 * effect_v
         change_v = _UNIFORM**2 * _square(v[last], v[first])
         change_x = _UNIFORM**2 * _square(x[last], x[first]) + dt**2 * change_v
         base_v = 2.0 * self.velocity**2 + self.model_velocity**2
@@ -147,15 +145,16 @@ class PredictionNoise(eqx.Module):
     log_velocity: Float[Array, ""]
     """The same of the scale in m/s."""
 
-    log_share: Float[Array, " active"]
-    """The same of the error of each active type's effect, in units of the effect."""
+    log_share: Float[Array, ""]
+    """The same of the error of a contact's effect, in units of the effect. One for all types: of
+    two, one would learn to explain whatever the other does not."""
 
     length: float = eqx.field(static=True)
 
-    def __init__(self, active_types: int, length: float = 0.1) -> None:
+    def __init__(self, length: float = 0.1) -> None:
         """``length`` [m] is the unit of the least scales: about the distance of a contact."""
         start, self.length = MotionNoise(), length
-        self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(active_types)
+        self.log_share = jnp.log(start.model_share) / _PACE * jnp.ones(())
         self.log_position = jnp.log(start.model_position) / _PACE * jnp.ones(())
         self.log_velocity = jnp.log(start.model_velocity) / _PACE * jnp.ones(())
 
@@ -170,8 +169,8 @@ class PredictionNoise(eqx.Module):
         return jnp.maximum(jnp.exp(_PACE * self.log_velocity), _LEAST_VELOCITY * self.length)
 
     @property
-    def share(self) -> Float[Array, " active"]:
-        """Of the effect of each active type."""
+    def share(self) -> Float[Array, ""]:
+        """Of a contact's effect."""
         return jnp.maximum(jnp.exp(_PACE * self.log_share), _LEAST_SHARE)
 
     def score(
@@ -187,7 +186,7 @@ class PredictionNoise(eqx.Module):
         ``unhindered`` is the prediction without edges, and ``active`` counts each node's.
         """
         tail, dimension = MotionNoise().tail, observed[0].shape[-1]
-        share = active @ self.share**2
+        share = self.share**2 * jnp.sum(active, axis=-1)
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
         variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
         variance_v = self.velocity**2 + share * effect_v

@@ -221,7 +221,7 @@ def ours(
             min_transition=min(_MIN_TRANSITION, _MIN_TRANSITION_RATE * config.dt),
             limit=_STRONG * push * config.dt**2 / distance or 1.0,
         )
-        noise = PredictionNoise(len(config.edge_types), distance)
+        noise = PredictionNoise(distance)
     elif inference is not Inference.NONE:
         messages = EdgeNetwork(size, width, key=messages_key)
         cell = RecurrentEdges if inference is Inference.RECURRENT else MemorylessEdges
