@@ -307,7 +307,7 @@ def table(tasks: list[Path]) -> list[dict[str, object]]:
             folders = (folder_of(task, name, seed) for seed in SEEDS)
             measured = [numbers(folder) for folder in folders if folder.is_dir()]
             for key in KEYS:
-                values = sorted(each[key] for each in measured)
+                values = [each[key] for each in measured]
                 of_values = ("median", statistics.median), ("low", min), ("high", max)
                 for end, summary in of_values if values else ():
                     row[f"{task.name}_{key}_{end}".replace("-", "_")] = f"{summary(values):.4g}"

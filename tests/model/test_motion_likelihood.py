@@ -279,7 +279,6 @@ def test_a_hold_may_begin_after_a_touch_that_fills_the_step() -> None:
 
 
 def test_a_hold_that_is_a_little_off_is_no_touch_and_hold_in_turn() -> None:
-    """So it was with a share for each type: that of touches grew until they fitted any motion."""
     off = pair_log_ratios(0.1, (0.9, 0.9), touch=True)
     assert off[2, 2] == 0.0 and off[1, 2] + off[2, 1] < -2.0, "the likeliest"
 
@@ -290,11 +289,12 @@ def test_a_model_learns_how_exact_its_motion_and_its_effects_are() -> None:
 
     def score(noise: PredictionNoise) -> jax.Array:
         motions = (moved, moved), (still, still), (moved, moved)
-        return jnp.sum(noise.score(*motions, jnp.ones((1, 1)), 0.1))
+        return jnp.sum(noise.score(*motions, jnp.ones(1), 0.1))
 
     noise = PredictionNoise()
     gradient = jax.grad(score)(noise)
     assert gradient.log_velocity > 0.0 and gradient.log_share > 0.0
+    assert noise.share.shape == (), "of two, that of touches would grow until they fit any motion"
     exact = eqx.tree_at(lambda each: each.log_share, noise, noise.log_share - 9.0)
     assert exact.share == pytest.approx(0.01), "never certain"
 

@@ -178,15 +178,15 @@ class PredictionNoise(eqx.Module):
         predicted: Motion,
         unhindered: Motion,
         observed: Motion,
-        active: Float[Array, "N active"],
+        active: Float[Array, " N"],
         dt: float,
     ) -> Float[Array, " N"]:
         """Negative log-likelihood of every node's residual, up to a constant.
 
-        ``unhindered`` is the prediction without edges, and ``active`` counts each node's.
+        ``unhindered`` is the prediction without edges, and ``active`` how many act on each node.
         """
         tail, dimension = MotionNoise().tail, observed[0].shape[-1]
-        share = self.share**2 * jnp.sum(active, axis=-1)
+        share = self.share**2 * active
         effect_x, effect_v = (_square(*each) for each in zip(predicted, unhindered, strict=True))
         variance_x = self.position**2 + share * (effect_x + dt**2 * effect_v)
         variance_v = self.velocity**2 + share * effect_v

@@ -193,7 +193,7 @@ def dynamics_loss(
         jax.lax.stop_gradient((position, velocity)),
         evidence.without_edges,
         after,
-        jnp.einsum("en,blea->blna", incidence.astype(position.dtype), evidence.types[..., 1:]),
+        jnp.einsum("en,blea->bln", incidence.astype(position.dtype), evidence.types[..., 1:]),
         model.dt,
     )
     near = jnp.any(in_reach[..., None] & incidence, axis=2)
