@@ -69,6 +69,18 @@ def test_recorded_nodes_are_unchanged_and_it_has_no_reach() -> None:
     assert after.nodes.reach.shape == (4, 3, 2, 2) and np.isnan(after.nodes.reach[:, 2]).all()
 
 
+@pytest.mark.parametrize(("pieces", "corners"), [(0, 0), (1, 0), (1, 3)])
+def test_bodies_may_have_no_outlines(pieces: int, corners: int) -> None:
+    """As those of the arm and its block have none, in a data set that is padded for them."""
+    before = windows(np.zeros((4, 3, 2, 2)), [True, True])
+    outlines = jnp.zeros((4, 2, pieces, corners, 2))
+    before = before._replace(nodes=before.nodes._replace(outlines=outlines))
+    after = add_distractor(before, NEAREST, FARTHEST, jax.random.key(0))
+    distance = np.linalg.norm(np.asarray(after.position[:, 0, 2]), axis=-1)
+    assert np.all((distance >= NEAREST - 1e-6) & (distance <= FARTHEST + 1e-6))
+    assert after.nodes.outlines.shape == (4, 3, pieces, corners, 2)
+
+
 def test_without_space_a_distractor_is_masked() -> None:
     """A body sweeps a square so densely that only its rim is free."""
     line = 0.09 * np.arange(40)

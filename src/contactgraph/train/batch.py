@@ -222,7 +222,7 @@ def add_distractor(
     if windows.nodes.outlines is not None:
         # An outline lies within a circle about its node, which any turn of it keeps.
         place = place[..., : windows.nodes.outlines.shape[-1]]
-        wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1))
+        wide = 2.0 * jnp.max(jnp.linalg.norm(windows.nodes.outlines, axis=-1), initial=0.0)
         nearest, farthest = nearest + wide, farthest + wide
     drawn, clear = jax.vmap(_distractor_position, (0, 0, 0, None, None))(
         place, windows.nodes.mask, keys, nearest, farthest
