@@ -44,9 +44,7 @@ def write_study(
     write_text(folder / "table.md", "\n".join(table.markdown() for table in result.tables))
     write_text(folder / "table.csv", result.tables[0].csv())
     commands = [command, *(job.command for job in study.jobs)]
-    made = (
-        f"{date}; {len(costs)} of {len(study.jobs)} jobs done, {short(hours)} h, {cores} at a time"
-    )
+    made = f"{date}; {len(costs)} of {len(study.jobs)} jobs, {short(hours)} h, {cores} at a time"
     packages = ", ".join(f"{name} {number}" for name, number in origin["versions"].items())
     report = study_report(result, failed, commands, f"{made}. {packages}.")
     write_text(folder / "report.md", report)

@@ -38,7 +38,6 @@ from contactgraph_studies.tables import DASH, StudyTable, counts, number_text
 
 _ALL = Quantity("n_step_rmse_m", null=math.inf)
 _ALL_BY_MOTION = Quantity("n_step_rmse_inferred_m", null=math.inf)
-_DEGREES = 180.0 / math.pi
 
 
 def _cm(key: str) -> Quantity:
@@ -46,7 +45,7 @@ def _cm(key: str) -> Quantity:
 
 
 def _degrees(key: str) -> Quantity:
-    return Quantity(key, "degrees", _DEGREES)
+    return Quantity(key, "degrees", 180.0 / math.pi)
 
 
 def _by_motion(values: Values) -> float:
@@ -99,7 +98,7 @@ QUANTITIES = {
     "training_s": (Source.model, Quantity("training_s", "s")),
 }
 """The numbers of a row: the kind of job that measures them, and the key in its output."""
-_KEPT = {quantity.key for _, quantity in QUANTITIES.values()} | {
+_KEPT = {
     *("n_step_rmse_m", "n_step_rmse_inferred_m", "infer_contacts", "least_squares_missing"),
     *("episodes", "success_rate", "seed"),
 }
@@ -201,10 +200,7 @@ class ResultsStudy(Study):
                 "searched_episodes": amounts.searched_episodes,
                 "quick": amounts.quick,
             },
-            readings=[
-                {**one, "values": {k: v for k, v in one["values"].items() if k in _KEPT}}
-                for one in rows[0].results.to_json()
-            ],
+            readings=list(map(_of_source, rows[0].results.to_json())),
         )
 
 
@@ -269,6 +265,12 @@ class ResultRow:
                 found["collect"] = training.needs[0].command
                 found |= {"train": training.command, name: job.command}
         return {f"command_{name}": command for name, command in found.items()}
+
+
+def _of_source(reading: dict[str, Any]) -> dict[str, Any]:
+    """The reading with those values alone that the table has of such jobs."""
+    kept = _KEPT | {each.key for source, each in QUANTITIES.values() if source == reading["source"]}
+    return {**reading, "values": {k: v for k, v in reading["values"].items() if k in kept}}
 
 
 def _cells(row: ResultRow) -> dict[str, Any]:

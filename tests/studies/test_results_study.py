@@ -122,6 +122,8 @@ def test_cells_by_hand(tmp_path: Path) -> None:
     assert "training_s" in kept and kept <= {q.key for _, q in QUANTITIES.values()} | {
         *("n_step_rmse_m", "n_step_rmse_inferred_m", "episodes", "seed"),
     }
+    of = {each["source"]: each["values"].keys() for each in result.readings}
+    assert "n_step_rmse_moving_m" in of["model"] and "n_step_rmse_moving_m" not in of["mpc"]
 
 
 def test_the_smallest_learned_error_is_bold_and_hidden_holds_are_measured_under_forces(

@@ -71,7 +71,7 @@ def test_recorded_nodes_are_unchanged_and_it_has_no_reach() -> None:
 
 @pytest.mark.parametrize(("pieces", "corners"), [(0, 0), (1, 0), (1, 3)])
 def test_bodies_may_have_no_outlines(pieces: int, corners: int) -> None:
-    """As those of the arm and its block have none, in a data set that is padded for them."""
+    """As those of the arm: the array of outlines is then there, and empty."""
     before = windows(np.zeros((4, 3, 2, 2)), [True, True])
     outlines = jnp.zeros((4, 2, pieces, corners, 2))
     before = before._replace(nodes=before.nodes._replace(outlines=outlines))
