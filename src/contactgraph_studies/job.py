@@ -141,13 +141,13 @@ class JobRecords:
         record = self._read(job)
         return record.get("refused") if self._matches(job, record) else None
 
-    def restore(self, jobs: Iterable[Job]) -> None:
-        """Records and outputs that ``results.json`` holds of jobs whose own files are gone.
+    def restore(self, jobs: Iterable[Job], kept: Path) -> None:
+        """Records and outputs that a ``results.json`` holds of jobs whose own files are gone.
 
         Those of another command, other inputs or another version are left out.
         """
         try:
-            stored = json.loads((self.folder / "results.json").read_text())
+            stored = json.loads(kept.read_text())
         except (OSError, ValueError):
             return
         if stored.get("versions", {}).get("contactgraph") != self.version:

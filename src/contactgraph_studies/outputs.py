@@ -22,7 +22,7 @@ def write_study(
     Prints the claims and the first table.
     """
     result, origin = study.result(folder), provenance()
-    costs = JobRecords(folder, version("contactgraph")).costs(study.jobs)
+    costs = JobRecords(folder, version("contactgraph")).costs([*study.jobs, *study.kept_jobs])
     hours = sum(one["seconds"] for one in costs.values()) / 3600.0
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     failed = [(failure.job.command, failure.reason) for failure in failures]

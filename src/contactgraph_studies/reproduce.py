@@ -2,10 +2,10 @@
 
 import math
 import shlex
-import shutil
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +34,7 @@ class Reproduce:
     """One seed, short trainings and few test scenes, which only show that everything runs; in the
     place of all tasks pickup alone."""
     only: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(all)")] = None
-    """Data sets of results to measure, separated by commas; the others are shown as they are."""
+    """Data sets of results to measure, separated by commas; numbers of others are kept."""
     seeds: Annotated[int | None, arg(metavar="N", help_behavior_hint="(3)")] = None
     """Trainings of each data set of results."""
     gate: bool = False
@@ -57,6 +57,7 @@ class Reproduce:
         from contactgraph.cli.options import check_range
         from contactgraph.data import InvalidInputError
         from contactgraph_studies.gate import read_gate
+        from contactgraph_studies.job import JobRecords
         from contactgraph_studies.outputs import publish, write_study
         from contactgraph_studies.runner import run_reported
 
@@ -70,10 +71,11 @@ class Reproduce:
         if self.hours is not None:
             check_range("--hours", self.hours, 0, 10_000)
         seconds = math.inf if self.hours is None else 3600.0 * self.hours
-        if self.resume and self._publishes:
-            self._unpublish(folder)
+        restored = [*study.kept_jobs, *(study.jobs if self.resume else ())]
+        records = JobRecords(folder, version("contactgraph"))
+        records.restore(restored, self._kept(folder))
         with self._executor() as executor:
-            failures = run_reported(study.jobs, folder, executor, seconds, self.resume)
+            failures = run_reported(study.jobs, records, executor, seconds)
             cores = executor.workers
         if self.gate:
             self._judge(study, folder, before)
@@ -122,12 +124,10 @@ class Reproduce:
             return Path("build") / "gate" / sources_digest()
         return Path("build") / ("quick" if self.quick else "") / self.study
 
-    def _unpublish(self, folder: Path) -> None:
-        """Give an empty folder the readings that are kept beside the tables."""
-        kept = _PUBLISHED / f"{self.study}.json"
-        if kept.is_file() and not (folder / "results.json").exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(kept, folder / "results.json")
+    def _kept(self, folder: Path) -> Path:
+        """The readings of an earlier run in the folder, or those that are published."""
+        own = folder / "results.json"
+        return own if own.exists() or not self._publishes else _PUBLISHED / f"{self.study}.json"
 
     def _command(self) -> str:
         quick = " --quick" if self.quick else ""

@@ -20,7 +20,7 @@ from contactgraph_studies.data_sets import (
     Source,
     result_measurements,
 )
-from contactgraph_studies.job import JobRecords, Measurement
+from contactgraph_studies.job import Job, JobRecords, Measurement, in_dependency_order
 from contactgraph_studies.results import (
     PLAN_MS,
     SLOWEST_MS,
@@ -163,6 +163,12 @@ class ResultsStudy(Study):
     def measures(self, data: DataSet) -> bool:
         """Whether the data set is among those to measure."""
         return not self.only or data.slug in self.only
+
+    @property
+    def kept_jobs(self) -> list[Job]:
+        """Of the data sets that are not measured."""
+        others = [data for data in self.sets if not self.measures(data)]
+        return in_dependency_order(one.job for one in self._measured(others))
 
     @property
     def left_out(self) -> Sequence[str]:

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -78,25 +77,15 @@ def run_jobs(
 
 
 def run_reported(
-    jobs: Sequence[Job],
-    folder: Path,
-    executor: Executor,
-    seconds: float = math.inf,
-    resume: bool = False,
+    jobs: Sequence[Job], records: JobRecords, executor: Executor, seconds: float = math.inf
 ) -> list[Failure]:
-    """Run jobs in a folder, with progress and failures on stderr; see `run_jobs`.
-
-    To ``resume`` is not to measure again what a ``results.json`` of the folder holds.
-    """
+    """Run jobs, with progress and failures on stderr; see `run_jobs`."""
 
     def report(failure: Failure) -> None:
         command = failure.job.command
         print(f"failed: {command} ({failure.reason})", file=sys.stderr, flush=True)
 
-    folder.mkdir(parents=True, exist_ok=True)
-    records = JobRecords(folder, version("contactgraph"))
-    if resume:
-        records.restore(jobs)
+    records.folder.mkdir(parents=True, exist_ok=True)
     with progress("jobs", len(jobs)) as bar:
 
         def on_progress(now: Progress) -> None:

@@ -156,6 +156,11 @@ class Study(ABC):
         return in_dependency_order(one.job for one in self.measurements)
 
     @property
+    def kept_jobs(self) -> Sequence[Job]:
+        """Jobs whose published numbers are shown as they are."""
+        return ()
+
+    @property
     def left_out(self) -> Sequence[str]:
         """Reasons why something cannot be measured on this machine, one line each."""
         return ()

@@ -235,6 +235,14 @@ def test_a_study_is_published_and_goes_on_from_what_is_kept(fake: Path) -> None:
     assert done(fake) == [], "nothing is measured twice"
     kept = (fake / "lost" / "results" / "table.md").read_text()
     assert (tables / "results.md").read_text() == kept
+    (fake / "build").rename(fake / "lost too")
+    assert cli.run(["reproduce", "results", "--only", "billiards", "--seeds", "1"]) == 0
+    assert done(fake) and not [output for output in done(fake) if "pickup" in output]
+    table = (tables / "results.md").read_text()
+    assert "| pickup | **0.2** |" in table and "| billiards --passive | **0.2** |" in table
+    (fake / "build").rename(fake / "lost as well")
+    assert cli.run([*command, "--resume"]) == 0
+    assert (tables / "results.md").read_text() == table, "published numbers of both are kept"
 
 
 def test_a_failed_job_leaves_its_row_with_a_reason(

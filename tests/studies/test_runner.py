@@ -101,19 +101,19 @@ def test_a_study_goes_on_from_its_results_alone(tmp_path: Path) -> None:
     stored = {"versions": {"contactgraph": "1"}, "cells": cells, "jobs": costs}
     (tmp_path / "results.json").write_text(json.dumps(stored))
     records = JobRecords(tmp_path, "1")
-    records.restore(jobs)
+    records.restore(jobs, tmp_path / "results.json")
     assert json.loads((tmp_path / "first").read_text()) == {"error": 0.25}
     known = costs | {jobs[1].fingerprint: {"seconds": 0.0, "draws": 1}}
     assert (records.costs(jobs), records.redrawn(jobs)) == (known, {data.command: 1})
     run(tmp_path, jobs)
     assert done(tmp_path) == ["make data", "make second"]
     assert records.costs(jobs)[data.fingerprint] != costs[data.fingerprint], "made again"
-    records.restore(jobs)
+    records.restore(jobs, tmp_path / "results.json")
     assert records.costs(jobs)[data.fingerprint] != costs[data.fingerprint], "older"
     other = tmp_path / "other"
     other.mkdir()
     (other / "results.json").write_text(json.dumps(stored))
-    JobRecords(other, "2").restore(jobs)
+    JobRecords(other, "2").restore(jobs, other / "results.json")
     assert [path.name for path in other.iterdir()] == ["results.json"], "another version"
 
 
@@ -208,7 +208,7 @@ def test_a_training_that_has_dead_networks_alone_is_not_tried_again(tmp_path: Pa
     elsewhere.mkdir()
     stored = {"versions": {"contactgraph": "1"}, "cells": [], "jobs": costs}
     (elsewhere / "results.json").write_text(json.dumps(stored))
-    JobRecords(elsewhere, "1").restore([bad])
+    JobRecords(elsewhere, "1").restore([bad], elsewhere / "results.json")
     assert JobRecords(elsewhere, "1").refusal(bad) == dead
     assert JobRecords(elsewhere, "2").refusal(bad) is None
 
