@@ -22,8 +22,8 @@ from measuring import Row, arguments, medians, report
 
 import contactgraph
 from contactgraph.control import ILQR, ControlLimits, QuadraticCost
-from contactgraph.evaluate import TaskCost
 from contactgraph.model import ModelState, Nodes, scene_nodes
+from contactgraph.policies import TaskCost
 
 HORIZON, ITERATIONS, DISTRACTORS = 20, 5, 9
 CHECKED = 100

@@ -22,6 +22,7 @@ from measuring import Compilations, arguments, report
 
 from contactgraph.control import (
     ILQR,
+    MPC,
     ActiveSetMPC,
     ControlLimits,
     MPCState,
@@ -43,7 +44,7 @@ DENSITY = 5.0
 def controller(model: ContactDynamics, task: GripperTask, horizon: int) -> ActiveSetMPC:
     """A controller with at most five rollouts per control step."""
     limits = ControlLimits(jnp.asarray(task.action_space.low), jnp.asarray(task.action_space.high))
-    return ActiveSetMPC(model, ILQR(horizon=horizon, iterations=5, limits=limits))
+    return ActiveSetMPC(MPC(model, ILQR(horizon=horizon, iterations=5, limits=limits)))
 
 
 def cost_of(task: GripperTask, goal: np.ndarray, nodes: int) -> QuadraticCost:

@@ -22,7 +22,7 @@ jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 import numpy as np
-from contactgraph.control import ILQR, ActiveSetMPC, chain_cost
+from contactgraph.control import ILQR, MPC, ActiveSetMPC, chain_cost
 from contactgraph.model import (load_model, shipped_model)
 from contactgraph.model import scene_nodes
 from contactgraph.envs import PickupTask
@@ -32,7 +32,7 @@ observation, _ = task.reset(seed=0)
 terms = task.cost_terms()
 cost = chain_cost(terms.chain, terms.pick_weights, terms.goal_weights, terms.control_weight,
                   observation["goal"], task.scene.node_count)
-mpc = ActiveSetMPC(load_model(shipped_model("pickup")).model, ILQR(horizon=20, iterations=5))
+mpc = ActiveSetMPC(MPC(load_model(shipped_model("pickup")).model, ILQR(horizon=20, iterations=5)))
 state = mpc.reset(observation, scene_nodes(task.scene), cost)
 plan, state = mpc.step(observation, observation["contact"], state)
 print(*np.asarray(plan.controls[0], float))

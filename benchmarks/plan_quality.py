@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import contactgraph
-from contactgraph.control import ILQR, MPC, AffinePolicy, ControlLimits, RouteILQR
-from contactgraph.evaluate import AvoidingCost, TaskCost
+from contactgraph.control import ILQR, MPC, AffinePolicy, ControlLimits, MultiStartILQR, Routes
 from contactgraph.model import ModelState, scene_nodes
+from contactgraph.policies import AvoidingCost, TaskCost
 
 HORIZON, ITERATIONS, ROUTES, TOGETHER, LATEST = 20, 5, 7, 100, 40
 CASES = {
     "pickup": ({}, None, ILQR),
     "in the way, iLQR alone": ({"distractors": 10, "in_the_way": True}, 0.03, ILQR),
-    "in the way, routes": ({"distractors": 10, "in_the_way": True}, 0.03, RouteILQR),
+    "in the way, routes": ({"distractors": 10, "in_the_way": True}, 0.03, MultiStartILQR),
 }
 STRENGTH_N = 4.0
 """Standard deviation of random controls, each of which lasts for five steps."""
@@ -33,7 +33,7 @@ def measure(name: str, scenes: int, restarts: int) -> dict[str, float]:
     model, task = contactgraph.load("pickup"), contactgraph.make("pickup", **options)
     box = task.action_space
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))
-    more = {"routes": ROUTES} if kind is RouteILQR else {}
+    more = {"proposals": (Routes(ROUTES),)} if kind is MultiStartILQR else {}
     mpc = MPC(model, kind(HORIZON, ITERATIONS, limits, **more))
     thorough = ILQR(HORIZON, 4 * ITERATIONS, limits)
 

@@ -10,6 +10,7 @@ from contactgraph.data import Scene
 from contactgraph.envs import ChainCost, check_task
 from contactgraph.evaluate import control_task
 from contactgraph.model import load_model, shipped_model
+from contactgraph.policies import task_policy
 
 DT, STEPS, SUBSTEPS, REACH, MAX_FORCE = 0.05, 120, 10, 0.08, 10.0  # s, -, -, m, N
 
@@ -67,7 +68,8 @@ print("Fetch keeps the contract")
 
 # The shipped model was trained on another simulator, but with the same type of contact.
 model = load_model(shipped_model("pickup")).model
-metrics, _ = control_task(model, Fetch, episodes=5, seed=0)
+task = Fetch()
+metrics = control_task(task_policy(model, task), task, episodes=5, seed=0).metrics
 print(f"success: {metrics.success_rate:.0%} of {metrics.episodes} episodes")
 print(f"speed at contact: {metrics.contact_speed_m_s:.2f} m/s")
 print(f"least speed before contact: {metrics.slowest_before_contact_min_m_s:.2f} m/s")

@@ -13,6 +13,7 @@ from contactgraph.data import Dataset
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, control_task
 from contactgraph.model import load_model, shipped_model
+from contactgraph.policies import task_policy
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 model = load_model(shipped_model("pickup")).model
@@ -38,5 +39,6 @@ cost = read_cost(folder / "cost.json")
 
 # The cost identifies its nodes by name in new scenes: other goals and target positions, more
 # distractors.
-metrics, _ = control_task(model, partial(PickupTask, distractors=5), 3, seed=1, cost=cost)
+task = PickupTask(distractors=5)
+metrics = control_task(task_policy(model, task, cost=cost), task, 3, seed=1).metrics
 print(f"new goals: {100 * metrics.success_rate:.0f} % of {metrics.episodes}")

@@ -1,26 +1,27 @@
 """A planner of one's own in the place of iLQR: MPPI (Williams et al. 2017), which only samples.
 
 Usage: python examples/extend_planner_mppi.py
+In this folder also: contactgraph control pickup pickup --planner extend_planner_mppi:MPPI
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from contactgraph.control import MPC, AffinePolicy, ControlLimits, Plan, PlanStatus, chain_cost
-from contactgraph.envs import PickupTask
-from contactgraph.model import load_model, scene_nodes, shipped_model
+import contactgraph
+from contactgraph.control import AffinePolicy, ControlLimits, Plan, PlanStatus
+from contactgraph.evaluate import control_task
 from contactgraph.model.step import rollout
+from contactgraph.policies import task_policy
 
 
 class MPPI(eqx.Module):
     """Averages random controls, weighted by ``exp(-cost / temperature)``."""
 
+    horizon: int = eqx.field(static=True)
     limits: ControlLimits
-    horizon: int = eqx.field(static=True, default=15)
     samples: int = eqx.field(static=True, default=128)
-    noise: float = eqx.field(static=True, default=3.0)  # N
+    noise: float = eqx.field(static=True, default=0.15)  # of the range of each control
     temperature: float = eqx.field(static=True, default=1.0)
 
     def solve(self, model, state, nodes, cost, guess=None):
@@ -32,10 +33,11 @@ class MPPI(eqx.Module):
             after = rollout(model, state, controls, nodes)
             moved = jnp.stack([after.position, after.velocity], axis=2)
             states = jnp.concatenate([start[None], moved])
-            return states, after.belief, cost(states, controls)
+            return states, after.belief, cost(states, controls, after.belief)
 
         shape = (self.samples, self.horizon, U)
-        tried = self.limits(mean + self.noise * jax.random.normal(jax.random.key(0), shape))
+        spread = self.noise * (self.limits.upper - self.limits.lower)
+        tried = self.limits(mean + spread * jax.random.normal(jax.random.key(0), shape))
         costs = jax.vmap(lambda controls: predicted(controls)[2])(tried)
         weights = jax.nn.softmax(-costs / self.temperature)  # [samples], sum 1
         controls = jnp.sum(weights[:, None, None] * tried, axis=0)
@@ -53,16 +55,8 @@ class MPPI(eqx.Module):
         )
 
 
-model, task = load_model(shipped_model("pickup")).model, PickupTask()
-observation, _ = task.reset(seed=7)
-count, goal = task.scene.node_count, observation["goal"]
-cost = chain_cost([0, 1], [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, goal, count)
-mpc = MPC(model, MPPI(ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))))
-state = mpc.reset(observation, scene_nodes(task.scene), cost)
-first = np.linalg.norm(np.subtract(*observation["position"][:2]))
-for _ in range(15):
-    plan, state = mpc.step(observation, observation["contact"], state)
-    observation, *_ = task.step(np.asarray(plan.controls)[0])
-last = np.linalg.norm(np.subtract(*observation["position"][:2]))
-print(f"gripper to target: {first:.2f} m, after {15 * model.dt:.2f} s with MPPI {last:.2f} m")
-print("nearer" if last < 0.7 * first else "not nearer")
+if __name__ == "__main__":
+    model, task = contactgraph.load("pickup"), contactgraph.make("pickup")
+    policy = task_policy(model, task, planner=MPPI, horizon=15)
+    metrics = control_task(policy, task, 3, seed=7).metrics
+    print(f"{100 * metrics.success_rate:.0f} % of 3 episodes, {metrics.plan_ms_p50:.1f} ms a step")

@@ -50,8 +50,8 @@ WINGS = {
 them, and those that may import them: none of the core."""
 
 LIBRARY_TOP = [
-    *("contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot", "contactgraph.play"),
-    *("contactgraph.cli", "contactgraph.gym", "contactgraph"),
+    *("contactgraph.policies", "contactgraph.evaluate", "contactgraph.viz", "contactgraph.plot"),
+    *("contactgraph.play", "contactgraph.cli", "contactgraph.gym", "contactgraph"),
 ]
 """These may import each other only in this order, and everything that stands below."""
 

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
 LIBRARY = (
     *("data", "bodies", "model", "large_scenes", "identify", "train", "control", "envs"),
-    *("interchange", "evaluate", "viz", "play"),
+    *("interchange", "policies", "evaluate", "viz", "play"),
 )
 ARM = ("safety", "loop", "perception", "sim")
 PACKAGES = [

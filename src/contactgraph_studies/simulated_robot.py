@@ -176,7 +176,7 @@ class SimulatedRobotStudy(Study):
 
 def _evaluation(model: Job, validation: Job, data: str, name: str) -> Job:
     output = f"cells/{name}.json"
-    arguments = ("evaluate", model.output, data, "--infer-contacts", "--json", output)
+    arguments = ("evaluate", model.output, data, "--json", output)
     return Job(output, arguments, "evaluate", (model, validation))
 
 

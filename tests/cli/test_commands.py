@@ -8,7 +8,6 @@ import sys
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -25,9 +24,9 @@ from contactgraph.data import (
 )
 from contactgraph.envs import PickupExpert
 from contactgraph.envs.planar.world import ENGINES
-from contactgraph.evaluate import closed_loop_metrics, collect
 from contactgraph.model import PRESETS, ModelConfig, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
+from contactgraph.policies import EpisodeRecord
 from contactgraph.viz.metric_table import short
 
 OPEN_LOOP = {
@@ -281,7 +280,7 @@ def test_control(
     real: bool,
 ) -> None:
     if not real:
-        monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+        monkeypatch.setattr("contactgraph.policies.task_policy", ByTheExpert)
         monkeypatch.setattr("contactgraph.viz.animation.frame_states", lambda scene: range(9))
     result, video, episodes = (tmp_path / name for name in ("out.json", "out.gif", "out.h5"))
     options = ["--episodes", 2, "--seed", 5, "--replan-every", 5]
@@ -306,15 +305,32 @@ def test_control(
     assert json.loads(result.read_text()).keys() <= values.keys(), "a policy has no more numbers"
 
 
-def by_the_expert(model, factory, episodes, seed, *, on_episode, **options):
-    """Stands in for `control_task`: the expert's episodes, with perfect plans."""
-    trajectories = collect([factory], [PickupExpert()], episodes, seed)
-    for each in trajectories:
-        after = np.minimum(np.arange(200)[:, None] + np.arange(options["horizon"] + 1), 200)
-        on_episode(each, SimpleNamespace(plan=each.position[after]))
-    return closed_loop_metrics(
-        trajectories, [True, False][:episodes], [(0, 1)] * episodes, seed, [1.0, 2.0]
-    ), trajectories
+class ByTheExpert:
+    """In place of a `task_policy`: the expert, with perfect plans."""
+
+    def __init__(self, model, task, *, horizon, **options):
+        self.horizon, self.expert = horizon, PickupExpert()
+
+    def reset(self, scene, seed):
+        self.path = []
+        self.expert.reset(scene, seed)
+
+    def __call__(self, observation):
+        self.path.append(observation["position"].copy())
+        return self.expert(observation)
+
+    def record(self):
+        path = np.array([*self.path, self.path[-1]])
+        count, steps = path.shape[1], len(path) - 1
+        after = np.minimum(np.arange(steps)[:, None] + np.arange(self.horizon + 1), steps)
+        edges = np.zeros((steps, count * (count - 1) // 2))
+        return EpisodeRecord(
+            plan_ms=np.arange(1.0, steps + 1.0),
+            status=np.zeros(steps, int),
+            plan=path[after],
+            plan_belief=np.zeros((steps, self.horizon, edges.shape[1])),
+            estimated=edges,
+        )
 
 
 def test_report(
@@ -325,7 +341,7 @@ def test_report(
     assert extra.extra
     task = dataclasses.replace(known_task("pickup"), conditions=(first, extra))
     monkeypatch.setattr("contactgraph.cli.tasks.known_task", lambda name: task)
-    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    monkeypatch.setattr("contactgraph.policies.task_policy", ByTheExpert)
     page = tmp_path / "report" / "index.html"
     options = ("--test-runs", 1, "--episodes", 2, "--quick", "--beside", "pickup", "pickup")
     done("report", "pickup", *options, "--out", page)
@@ -356,7 +372,7 @@ def test_report(
 def test_control_says_that_the_data_came_from_another_engine(
     engine: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("contactgraph.evaluate.control_task", by_the_expert)
+    monkeypatch.setattr("contactgraph.policies.task_policy", ByTheExpert)
     if find_spec(ENGINES[engine]) is None:
         pytest.skip(f"{engine} is not installed")
     done("control", "pickup", "pickup", "--episodes", 1, "--engine", engine)

@@ -187,7 +187,7 @@ def test_control_searches_where_bodies_are_pushed_and_the_model_allows_it(
 ) -> None:
     model = replace(stored_model("pickup"), features=features)
     monkeypatch.setattr("contactgraph.cli.models.stored_model", lambda name: model)
-    calls = interrupted("contactgraph.evaluate.control_task")
+    calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", task, *options]) == 130
     assert calls[0].options["starts"] == starts
 
@@ -199,7 +199,7 @@ def test_control_plans_with_it(
     demanding = tmp_path / "touch.json"
     contact = LearnedContact("touch", ("gripper", "target"), 2.0)
     write_cost(demanding, replace(read_cost(cost), contacts=(contact,)))
-    calls = interrupted("contactgraph.evaluate.control_task")
+    calls = interrupted("contactgraph.policies.task_policy")
     for options in (["--cost", str(cost)], ["--cost", str(demanding)], []):
         assert cli.run(["control", "pickup", "pickup", *options]) == 130
     assert [call.options["horizon"] for call in calls] == [40, 20, 20]

@@ -20,7 +20,6 @@ from contactgraph.data import (
     strip_contacts,
     write_trajectories,
 )
-from contactgraph.evaluate import SensorFaults
 from contactgraph.model import (
     HOLD,
     ContactSensor,
@@ -34,6 +33,7 @@ from contactgraph.model import (
     shipped_model,
 )
 from contactgraph.model.motion_likelihood import motion_noise
+from contactgraph.policies import SensorFaults
 
 
 def metrics_of(command: list[object], result: Path) -> dict:
@@ -42,7 +42,7 @@ def metrics_of(command: list[object], result: Path) -> dict:
 
 
 LEARNED = "that of the model"
-CLOSED_LOOP = "contactgraph.evaluate.control_task"
+CLOSED_LOOP = "contactgraph.policies.task_policy"
 OPEN_LOOP = "contactgraph.evaluate.evaluate_open_loop"
 FAULTS = "--false-alarms 0.05 --misses 0.2 --delay 2"
 
@@ -51,7 +51,6 @@ FAULTS = "--false-alarms 0.05 --misses 0.2 --delay 2"
     ("command", "flags", "given"),
     [
         ("evaluate", "", {"faults": SensorFaults(), "motion_noise": LEARNED}),
-        ("evaluate", "--infer-contacts", {"motion_noise": LEARNED}),
         ("evaluate", "--ignore-motion", {"motion_noise": None}),
         ("evaluate", FAULTS, {"faults": SensorFaults(0.05, 0.2, 2, 0)}),
         ("control", FAULTS, {"faults": SensorFaults(0.05, 0.2, 2, 7), "measured": True}),
@@ -148,7 +147,6 @@ def test_edges_without_truth_are_not_scored(
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ("--infer-contacts --ignore-motion", "--infer-contacts and --ignore-motion exclude each"),
         ("--misses 1", "--misses must be a share from 0 to below 1, found 1.0"),
         ("--false-alarms nan", "--false-alarms must be a share from 0 to below 1, found nan"),
         ("--delay -1", "--delay must be 0 to 1000, found -1"),

@@ -56,10 +56,10 @@ def test_collect_and_control_take_a_class(
     assert [each.scene.node_count for each in dataset] == [2, 3, 2]
     policies = [each.scene.metadata["policy"] for each in dataset]
     assert policies == ["PickupExpert", "PickupExpert", "ExplorationPolicy"]
-    calls = interrupted("contactgraph.evaluate.control_task")
+    calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", LINE, "--distractors", "1"]) == 130
     (call,) = calls
-    assert type(call.arguments[1]()).__name__ == "Line" and call.options["horizon"] == 20
+    assert type(call.arguments[1]).__name__ == "Line" and call.options["horizon"] == 20
 
 
 @pytest.mark.parametrize(
@@ -117,6 +117,67 @@ def test_a_class_without_an_expert_is_explored(
     assert type(task.expert()).__name__ == "ExplorationPolicy"
     assert task.max_force is None
     sys.modules.pop("plain_task")
+
+
+OWN = """
+from dataclasses import replace
+
+from contactgraph.envs import PickupTask, RestPolicy
+
+
+class Servo(PickupTask):
+    explorer = RestPolicy
+    exploration = 0.25
+
+    @property
+    def scene(self):
+        return replace(super().scene, control_kind=("displacement", "displacement"))
+
+
+class Long(Servo):
+    horizon = 45
+"""
+
+
+def test_a_class_has_the_defaults_of_a_shipped_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its attributes are those of `KnownTask`; how to plan follows from what is controlled."""
+    (tmp_path / "own_task.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    servo, long = known_task("own_task:Servo"), known_task("own_task:Long")
+    assert type(servo.explorer()).__name__ == "RestPolicy" and servo.exploration == 0.25
+    task = servo.make()
+    task.reset(seed=0)
+    shipped = TASKS["fetch-push"].horizon, TASKS["fetch-push"].starts
+    assert servo.planning(task.scene) == (*shipped, "the control is a displacement")
+    assert long.planning(task.scene)[:2] == (45, 64)
+    force = TASKS["pickup"].make()
+    force.reset(seed=0)
+    assert TASKS["pickup"].planning(force.scene) == (20, 0, "the control is a force")
+    sys.modules.pop("own_task")
+
+
+def test_control_and_play_take_a_planner(
+    monkeypatch: pytest.MonkeyPatch, interrupted: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    named = ["--planner", "extend_planner_mppi:MPPI"]
+    calls = interrupted("contactgraph.policies.task_policy")
+    assert cli.run(["control", "pickup", "pusht", *named]) == 130
+    (call,) = calls
+    assert call.options["planner"].__name__ == "MPPI" and call.options["starts"] == 0
+    begun = interrupted("contactgraph.play.Session")
+    assert cli.run(["play", "pickup", *named]) == 130
+    assert begun[0].arguments[1].keywords["planner"].__name__ == "MPPI"
+    capsys.readouterr()
+    for more, said in (
+        (["--starts", "8"], "--planner: it plans alone, so --starts, --routes and --segment must"),
+        (["--planner", "extend_planner_mppi:PPI"], "--planner extend_planner_mppi:PPI: module"),
+    ):
+        assert cli.run(["control", "pickup", "pickup", *named, *more]) == 2
+        assert capsys.readouterr().err.startswith(f"contactgraph: {said}")
+    sys.modules.pop("extend_planner_mppi")
 
 
 def test_distractors_in_the_way() -> None:

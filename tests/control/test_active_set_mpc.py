@@ -1,4 +1,4 @@
-"""MPC on the active set gives the plans of MPC on the whole scene."""
+"""MPC on the active set: plans of the whole scene, and none through a body left out."""
 
 import logging
 from dataclasses import replace
@@ -14,15 +14,19 @@ from contactgraph.control import (
     ILQR,
     MPC,
     ActiveSetMPC,
+    AffinePolicy,
     ControlLimits,
+    MultiStartILQR,
+    Plan,
     PlanStatus,
-    RouteILQR,
+    Routes,
     avoid,
     chain_cost,
     keep_clear,
 )
 from contactgraph.data import InvalidInputError, edge_id, pair_indices
 from contactgraph.model import MotionNoise, load_model, shipped_model
+from contactgraph.model.step import rollout
 
 CAPACITY, HORIZON = 30, 12
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -45,7 +49,7 @@ def model(double_precision):
 
 @pytest.fixture(scope="module")
 def local(model) -> ActiveSetMPC:
-    return ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS))
+    return ActiveSetMPC(MPC(model, ILQR(HORIZON, 5, LIMITS)))
 
 
 @pytest.fixture(scope="module")
@@ -145,8 +149,8 @@ def test_nodes_to_be_avoided_are_active_and_give_the_plan_of_the_whole_scene(mod
     """The distance to keep is more than that within which bodies touch."""
     planner = ILQR(HORIZON, 5, LIMITS)
     if routes:
-        planner = RouteILQR(HORIZON, 5, LIMITS, routes=routes)
-    local, whole = ActiveSetMPC(model, planner), MPC(model, planner)
+        planner = MultiStartILQR(HORIZON, 5, LIMITS, proposals=(Routes(routes),))
+    local, whole = ActiveSetMPC(MPC(model, planner)), MPC(model, planner)
     between = 0.5 * (GRIPPER + TARGET) + np.array([-0.15, 0.26])
     in_play = both(local, whole, scene(11, others=[between]), 8, clear=0.4)
     assert any(2 in inside for inside in in_play)
@@ -192,7 +196,7 @@ def test_distant_distractors_compile_nothing(local, compilations):
 
 
 def test_capacity_grows_once_and_is_logged(model, caplog):
-    mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS))
+    mpc = ActiveSetMPC(MPC(model, ILQR(HORIZON, 5, LIMITS)))
     dense = scene(30, others=BESIDE)
     with caplog.at_level(logging.WARNING, logger="contactgraph"):
         state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
@@ -205,7 +209,7 @@ def test_capacity_grows_once_and_is_logged(model, caplog):
 
 
 def test_the_active_set_never_exceeds_its_limit(model):
-    mpc = ActiveSetMPC(model, ILQR(HORIZON, 5, LIMITS), max_active_nodes=2)
+    mpc = ActiveSetMPC(MPC(model, ILQR(HORIZON, 5, LIMITS)), max_active_nodes=2)
     nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
     state = mpc.reset(scene(11), nodes, cost())
     plan, state = mpc.step(scene(11), None, state)
@@ -217,7 +221,7 @@ def test_the_active_set_never_exceeds_its_limit(model):
     with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
         mpc.reset(near, nodes, cost())
     with pytest.raises(InvalidInputError, match="max_active_nodes must be at least 1, found 0"):
-        ActiveSetMPC(model, ILQR(HORIZON), max_active_nodes=0)
+        ActiveSetMPC(MPC(model, ILQR(HORIZON)), max_active_nodes=0)
 
 
 def test_inactive_nodes_must_be_observed_too(local):
@@ -275,7 +279,7 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
     answers = []
     options = {"replan_every": 2, "motion_noise": noise}
     for mpc in (
-        ActiveSetMPC(model, ILQR(3, 1), max_active_nodes=4, **options),
+        ActiveSetMPC(MPC(model, ILQR(3, 1), **options), max_active_nodes=4),
         MPC(model, ILQR(3, 1), **options),
     ):
         about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)
@@ -291,18 +295,48 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
         np.testing.assert_allclose(ours, wanted, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_rejected_rollout_counts_until_its_cost_exceeds_the_best(model):
-    far = np.array([1.5, 1.0])
-    mpc = ActiveSetMPC(model, ILQR(HORIZON, 8, LIMITS))
-    observed = scene(11)
-    state = mpc.reset(observed, nodes_of(11, CAPACITY), cost(far))
-    given_up = []
-    for _ in range(25):
-        plan, state = mpc.step(observed, None, state)
-        known = np.isfinite(np.asarray(plan.swept.lower)[: int(plan.iterations), :, 0, 0])
-        assert known[0].all() and (np.diff(known.astype(int), axis=1) <= 0).all()
-        given_up.append((~known).any())
-        after = np.asarray(plan.states[1])[:2]
-        observed["position"][:2], observed["velocity"][:2] = after[:, 0], after[:, 1]
-    assert any(given_up) and not all(given_up)
+class Charge(eqx.Module):
+    """A planner that drives the gripper straight at the goal, whatever stands there."""
+
+    horizon: int = eqx.field(static=True)
+    limits: ControlLimits
+
+    def solve(self, model, state, nodes, cost, guess=None):
+        """See `contactgraph.control.Planner`."""
+        away = cost.goal.reshape(-1, len(state.position), 2, 2)[-1, 1, 0] - state.position[0]
+        control = 8.0 * away / jnp.linalg.norm(away)
+        controls = jnp.broadcast_to(control, (self.horizon, 2))
+        after = rollout(model, state, controls, nodes)
+        states = jnp.stack([after.position, after.velocity], axis=2)
+        start = jnp.stack([state.position, state.velocity], axis=1)
+        return Plan(
+            states=jnp.concatenate([start[None], states]),
+            controls=controls,
+            policy=AffinePolicy(jnp.zeros((self.horizon, 2, *start.shape)), controls),
+            beliefs=after.belief,
+            cost=jnp.zeros(()),
+            status=jnp.asarray(PlanStatus.ITERATION_LIMIT, jnp.int32),
+            iterations=jnp.ones((), jnp.int32),
+            node_ids=jnp.arange(len(start), dtype=jnp.int32),
+        )
+
+
+def test_no_plan_of_any_planner_passes_through_a_body_that_it_does_not_know_of(model, local):
+    """In random scenes; bodies touch within 8 cm."""
+    charging, struck = ActiveSetMPC(MPC(model, Charge(HORIZON, LIMITS))), 0
+    for seed in range(20):
+        rng, observed = np.random.default_rng(seed), crowd(30, seed)
+        about = cost(rng.uniform(-1.2, 1.2, 2))
+        for mpc in (charging, local):
+            state = mpc.reset(observed, nodes_of(30, CAPACITY), about)
+            plan, _ = mpc.step(observed, None, state)
+            ids, paths = np.asarray(plan.node_ids), np.asarray(plan.states)[:, :, 0]
+            inside = ids >= 0
+            unknown = np.setdiff1d(np.arange(30), ids)
+            assert len(unknown)
+            moved = np.abs(paths - paths[0]).max(axis=(0, 2)) > 1e-3
+            between = np.concatenate([paths, 0.5 * (paths[:-1] + paths[1:])])[:, inside & moved]
+            gap = np.linalg.norm(between[:, :, None] - observed["position"][unknown], axis=-1)
+            assert gap.min() > 0.08, (seed, mpc)
+            struck += int(np.sum(moved[inside] & (ids[inside] > 1)))
+    assert struck > 3, "bodies stand in the way"

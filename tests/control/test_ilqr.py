@@ -30,7 +30,7 @@ from contactgraph.control import (
     chain_cost,
     solve_lqr,
 )
-from contactgraph.control.ilqr import _adapted, _Search
+from contactgraph.control.ilqr import Progress, _adapted
 from contactgraph.control.lqr import Improvement
 from contactgraph.control.rollout import Rollout
 from contactgraph.model import LinearDynamics, ModelState, two_type_belief
@@ -141,7 +141,7 @@ def small_search(cost, attempt=0, damping=0.0):
         dynamics,
     )
     policy = AffinePolicy(jnp.zeros((1, 1, 2)), jnp.zeros((1, 1)))
-    return _Search(
+    return Progress(
         reference=reference,
         cost=zero + cost,
         improvement=Improvement(policy, policy.k, zero + 100.0),
@@ -150,6 +150,7 @@ def small_search(cost, attempt=0, damping=0.0):
         attempt=jnp.asarray(attempt),
         iteration=jnp.asarray(3),
         status=jnp.asarray(-1),
+        leap=jnp.zeros((), bool),
     )
 
 
@@ -321,11 +322,16 @@ class Slope(Apart):
         return blocks(0.0 * one, one, 0.05 * one[..., None] * jnp.eye(2), back), state.belief
 
 
-def test_a_search_that_leaps_accepts_its_first_trial_whatever_it_costs():
+def test_a_start_that_leaps_accepts_its_first_trial_whatever_it_costs():
     cost = QuadraticCost(jnp.diag(jnp.array([1.0, 1.0, 0, 0])), 1e-4 * jnp.eye(2), jnp.zeros(4))
     state, one = state_of([[-0.35, -0.5]], [[0.0, 0.0]]), nodes_of(1, 1)
-    searches = [ILQR(10, 2, LIMITS, leaps=jnp.asarray(leaps)) for leaps in (False, True)]
-    found = [solve(each, Slope(), state, one, cost, no_force(10, 1, 2)) for each in searches]
-    stays, leapt = (float(each.cost) for each in found)
+    planner, guess = ILQR(10, 2, LIMITS), jax.tree.map(jnp.asarray, no_force(10, 1, 2))
+
+    @jax.jit
+    def searched(leap):
+        about = Slope(), state, one, planner.prepared(Slope(), state, cost, guess)[0]
+        return planner.search(*about, planner.begun(*about, guess, leap), 2).cost
+
+    stays, leapt = (float(searched(leap)) for leap in (False, True))
     at_rest = 11 * (0.35**2 + 0.5**2)
     assert stays == pytest.approx(at_rest) and at_rest < 0.9 * leapt

@@ -29,6 +29,7 @@ from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
 from contactgraph.model import ContactBelief, load_model, scene_nodes, shipped_model
+from contactgraph.policies import task_policy
 
 RECIPE = CostLearningConfig(steps=50, batch=64)
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -90,7 +91,10 @@ def test_terms_stand_for_themselves_and_one_ties_the_gripper_to_the_target(cost)
 
 @pytest.mark.slow
 def test_it_solves_new_scenes_and_goals(model, cost):
-    metrics, runs = control_task(model, partial(PickupTask, 3), 6, 31, cost=cost, horizon=40)
+    task = PickupTask(3)
+    policy = task_policy(model, task, cost=cost, horizon=40)
+    result = control_task(policy, task, 6, 31)
+    metrics, runs = result.metrics, result.trajectories
     assert metrics.success_rate == 1.0
     assert metrics.touched_bystanders == 0
     assert len({tuple(run.scene.goal) for run in runs}) == 6

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from contactgraph.bodies import geometry
-from contactgraph.control import ILQR, ActiveSetMPC, chain_cost, program_store
+from contactgraph.control import ILQR, MPC, ActiveSetMPC, chain_cost, program_store
 from contactgraph.control.box_qp import ControlLimits
 from contactgraph.control.program_store import stored
 from contactgraph.dynamics import contact_law
@@ -241,7 +241,7 @@ def test_a_controller_plans_the_same(folder: Path, caplog: pytest.LogCaptureFixt
         jax.config.update("jax_compilation_cache_dir", setting)
         caplog.clear()
         with jax.log_compiles():
-            found.append(plans(ActiveSetMPC(model, ILQR(horizon=4, iterations=2))))
+            found.append(plans(ActiveSetMPC(MPC(model, ILQR(horizon=4, iterations=2)))))
         compiled.append([line for line in caplog.messages if line.startswith("Compiling")])
     # A step for each of two sizes, and a second first carry.
     assert len(files(folder)) == 3

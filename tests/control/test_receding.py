@@ -3,18 +3,17 @@
 from dataclasses import replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from control_models import StickyBodies, nodes_of, state_of
 
-from contactgraph.control import ILQR, AffinePolicy, ControlLimits, RecedingILQR, chain_cost
+from contactgraph.control import AffinePolicy, ControlLimits, MultiStartILQR, ShortPlans, chain_cost
 from contactgraph.data import InvalidInputError
 
 H = 60
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
-PLANNER = RecedingILQR(H, 5, LIMITS, swept_dt=0.05, segment=16, stride=4)
+PLANNER = MultiStartILQR(H, 5, LIMITS, proposals=(ShortPlans(16, 4),))
 NODES = nodes_of(2, 2)
 GOAL = np.array([0.3, -0.8])
 COST = chain_cost((0, 1), [3.0, 3.0, 0.2, 0.2], [50.0, 50.0, 1.0, 1.0], 0.01, GOAL, 2)
@@ -47,20 +46,7 @@ def test_the_guess_is_improved_too() -> None:
     assert again.cost <= (1.0 + 1e-5) * best.cost
 
 
-def test_bounds_contain_the_rollouts_of_short_plans() -> None:
-    """`ActiveSetMPC` relies on them: what a short plan comes near may change the whole one."""
-    plan = solve(PLANNER)
-    lower, upper = (np.asarray(each) for each in (plan.swept.lower, plan.swept.upper))
-    short = ILQR(16, 5, LIMITS, swept_dt=0.05)
-    first = solve(short, jax.tree.map(lambda leaf: leaf[:16], IDLE))
-    ours = [np.asarray(each) for each in (first.swept.lower, first.swept.upper)]
-    assert lower.shape == (5, H, 2, 2)
-    assert np.all(lower[:, :16] <= ours[0] + 1e-6) and np.all(upper[:, :16] >= ours[1] - 1e-6)
-    moved = np.asarray(plan.states)[:-1, :, 0]
-    assert np.all(lower.min(axis=0) <= moved + 1e-6) and np.all(upper.max(axis=0) >= moved - 1e-6)
-
-
 @pytest.mark.parametrize(("segment", "stride"), [(16, 7), (70, 5), (10, 20), (10, 0)])
 def test_what_is_refused(segment: int, stride: int) -> None:
     with pytest.raises(InvalidInputError, match="stride must be 1 to segment"):
-        replace(PLANNER, segment=segment, stride=stride)
+        solve(replace(PLANNER, proposals=(ShortPlans(segment, stride),)))

@@ -12,11 +12,12 @@ from control_models import StickyBodies, nodes_of, state_of
 from contactgraph.control import (
     AffinePolicy,
     ControlLimits,
-    RouteILQR,
+    MultiStartILQR,
+    Routes,
     chain_cost,
     keep_clear,
 )
-from contactgraph.control.routes import FreeMotion, _place_of_least_cost
+from contactgraph.control.proposals.routes import FreeMotion, _place_of_least_cost
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import (
     ModelState,
@@ -28,7 +29,7 @@ from contactgraph.model import (
 
 H, DT, GAP = 18, 0.05, 0.11
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
-PLANNER = RouteILQR(H, 6, LIMITS, routes=3)
+PLANNER = MultiStartILQR(H, 6, LIMITS, proposals=(Routes(3),))
 NAMES = ("gripper", "target", "other")
 SCENE = Scene(NAMES, ("gripper", "object", "object"), np.arange(3) == 0, DT)
 GOAL = np.array([0.0, 0.9])
@@ -77,7 +78,7 @@ def test_it_goes_round_a_body_that_stands_in_the_way() -> None:
 
 
 def test_of_many_routes_the_best_after_one_rollout_go_on() -> None:
-    many = RouteILQR(H, 6, LIMITS, routes=11)
+    many = MultiStartILQR(H, 6, LIMITS, proposals=(Routes(11),))
     found, few = solve(many, BEHIND), solve(PLANNER, BEHIND)
     hand, _, other = np.moveaxis(np.asarray(found.states)[:, :, 0], 1, 0)
     assert np.min(np.linalg.norm(hand - other, axis=1)) > GAP - 0.005
@@ -123,7 +124,7 @@ def test_the_control_of_a_wanted_velocity_gives_it() -> None:
 
 def test_what_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="routes must be 1 or more and speed positive"):
-        RouteILQR(H, routes=0)
+        Routes(0)
     still = state_of(np.zeros((2, 2)), np.zeros((2, 2)))
     two = chain_cost((0, 1), np.ones(4), np.ones(4), 1.0, np.zeros(2), 2)
     with pytest.raises(InvalidInputError, match="routes need a ContactDynamics, found Sticky"):

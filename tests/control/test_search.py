@@ -13,14 +13,16 @@ from control_models import StickyBodies, nodes_of, state_of
 from contactgraph.control import (
     ILQR,
     AffinePolicy,
+    Approaches,
     ControlLimits,
-    SearchILQR,
+    MultiStartILQR,
+    PlanningProblem,
     avoid,
     chain_cost,
 )
-from contactgraph.control.approaches import Approach
 from contactgraph.control.lanes import in_lanes
-from contactgraph.control.search import _Scene
+from contactgraph.control.proposals.approach import Approach
+from contactgraph.control.proposals.approaches import _Scene
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ActuationFit, ModelConfig, ModelState, ours, scene_nodes
 
@@ -37,7 +39,7 @@ LIMITS = ControlLimits(jnp.full(2, -1.0), jnp.full(2, 1.0))
 SCENE = Scene(("hand", "box"), ("hand", "box"), np.array([True, False]), DT)
 NODES = scene_nodes(SCENE)
 GOAL = np.array([0.0, 0.0])
-PLANNER = SearchILQR(H, 4, LIMITS, starts=32)
+PLANNER = MultiStartILQR(H, 4, LIMITS, proposals=(Approaches(32),))
 WEIGHTS = [0.03, 0.03, 0.002, 0.002], [50.0, 50.0, 1.0, 1.0], 1e-3
 COST = chain_cost((0, 1), *WEIGHTS, GOAL, 2)
 IDLE = AffinePolicy(jnp.zeros((H, 2, 2, 2, 2)), jnp.zeros((H, 2)))
@@ -93,10 +95,14 @@ def test_a_body_at_its_goal_is_left_alone():
     assert np.linalg.norm(box_end(plan) - GOAL) < 1e-3
 
 
+def _scene(model, begin, nodes, cost):
+    return _Scene.of(PlanningProblem(PLANNER, model, begin, nodes, cost.quadratic(2), IDLE))
+
+
 @eqx.filter_jit
 def aims(model, begin, nodes):
     """Goals, aims and turns of 16 starts."""
-    return _Scene.of(model, begin, nodes, COST).pairs(16)[2:]
+    return _scene(model, begin, nodes, COST).pairs(16)[2:]
 
 
 @pytest.mark.parametrize(("bounce_raw", "images"), [(0.0, 0), (0.5, 4)])
@@ -124,7 +130,7 @@ def test_equal_states_give_equal_plans():
 @eqx.filter_jit
 def followed(model, begin, nodes, approach):
     """The controls of an approach, their cost, and the states that they lead to."""
-    controls, cost = _Scene.of(model, begin, nodes, COST).follow(approach, ILQR(H))
+    controls, cost = _scene(model, begin, nodes, COST).follow(approach, ILQR(H))
     return controls, cost, model.rollout(begin, controls, nodes)
 
 
@@ -152,7 +158,7 @@ def test_approaches_in_lanes_end_as_they_do_one_by_one():
             lambda leaf: leaf.astype(float) if eqx.is_inexact_array(leaf) else leaf,
             (single, [made([np.cos(turn), np.sin(turn)]) for turn in (0.0, 1.0, 3.0)], COST),
         )
-        scene = _Scene.of(scene, state([0.1, 0.2], [0.3, 0.0]), NODES, cost.quadratic(2))
+        scene = _scene(scene, state([0.1, 0.2], [0.3, 0.0]), NODES, cost)
         follow = partial(scene.follow, planner=ILQR(H, limits=LIMITS))
         stack = partial(jax.tree.map, lambda *each: jnp.stack(each, axis=-1))
         together = eqx.filter_jit(in_lanes(follow, len(ends)))(stack(*ends))
@@ -291,7 +297,9 @@ def test_a_plan_changes_its_commands_only_where_that_pays(command: float) -> Non
     )
     limits = ControlLimits(-jnp.ones(3), jnp.ones(3))
     cost = chain_cost((0, 1), *WEIGHTS, GOAL, 2, control_size=3, command_weight=1e-9)
-    planner = SearchILQR(H, 4, limits, starts=8, rounds=1, switching_cost=0.1)
+    planner = MultiStartILQR(
+        H, 4, limits, proposals=(Approaches(8, 1),), held=(2,), switching_cost=0.1
+    )
     # Its hand trembles, which costs a little; shifted, it ends without a command.
     running = jnp.full((H, 3), 0.01).at[:-1, 2].set(command).at[-1].set(0.0)
     guess = AffinePolicy(jnp.zeros((H, 3, 2, 2, 2)), running)
@@ -301,7 +309,7 @@ def test_a_plan_changes_its_commands_only_where_that_pays(command: float) -> Non
 
 def test_what_it_cannot_search_with_is_refused():
     with pytest.raises(InvalidInputError, match="starts must be 8"):
-        SearchILQR(H, 4, LIMITS, starts=4)
+        Approaches(4)
     with pytest.raises(InvalidInputError, match="ContactDynamics"):
         planar = state_of([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0]] * 2)
         PLANNER.solve(StickyBodies(), planar, nodes_of(2, 2), COST)

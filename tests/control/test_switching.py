@@ -1,5 +1,7 @@
 """Switches of a control: the schedule of the lowest true cost, two values, forces by iLQR."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,9 +14,11 @@ from contactgraph.control import (
     MPC,
     ActiveSetMPC,
     AffinePolicy,
+    ChangingSchedules,
+    ConstantSchedule,
     ControlLimits,
+    MultiStartILQR,
     QuadraticCost,
-    SwitchingILQR,
 )
 from contactgraph.data import InvalidInputError
 from contactgraph.model import two_type_belief
@@ -23,7 +27,8 @@ H = 12
 LIMITS = ControlLimits(np.array([-10.0, 0.0]), np.array([10.0, 1.0]))
 NODES = nodes_of(2, 2)
 REST = state_of([[0.0], [0.0]], [[0.0], [0.0]])
-PLANNER = SwitchingILQR(H, 5, LIMITS, switches=(1,))
+SCHEDULES = ConstantSchedule(1, False), ConstantSchedule(1, True), ChangingSchedules(1)
+PLANNER = MultiStartILQR(H, 5, LIMITS, proposals=SCHEDULES, held=(1,))
 
 
 class Clutch(Apart):
@@ -121,49 +126,50 @@ def test_with_its_schedule_given_the_forces_are_those_of_a_problem_without_a_swi
 
 
 def test_a_switch_has_two_values_and_no_feedback():
-    halves = guess_of(np.where(np.arange(H) < 4, 0.6, 0.5))
-    gains = AffinePolicy(halves.K + 1.0, halves.k)
-    schedule = np.asarray(PLANNER.rounded(gains.k[:, 1:]))[:, 0]
-    assert schedule.tolist() == [1.0] * 4 + [0.0] * (H - 4)
-    # A shifted plan ends in zero control, which is no change of the switch.
-    assert np.asarray(PLANNER.rounded(guess_of(1.0).k.at[-1].set(0.0)[:, 1:]))[-1] == 1.0
+    gains = AffinePolicy(OFF.K + 1.0, OFF.k)
     plan = solve(PLANNER, REST, CHANGES, gains)
     assert set(np.unique(plan.controls[:, 1])) <= {0.0, 1.0}
     assert not np.any(plan.policy.K[:, 1])
     np.testing.assert_array_equal(plan.policy.k[:, 1], plan.controls[:, 1])
+    # A shifted plan ends in zero control, which is no change of the switch.
+    shifted = guess_of(1.0)
+    shifted = AffinePolicy(shifted.K, shifted.k.at[-1].set(0.0))
+    assert np.all(solve(PLANNER, REST, INDIFFERENT, shifted).controls[:, 1] == 1.0)
 
 
-INDIFFERENT = cost((0.0, 0.0), (0.0, 0.0), switch=1e-9)
+CHEAP = cost((0.0, 0.0), (0.0, 0.0), switch=1e-9)
+INDIFFERENT = eqx.tree_at(lambda c: c.R, CHEAP, jnp.diag(jnp.array([1e-3, 0.0])))
 
 
 def test_of_plans_that_cost_the_same_the_running_one_stays():
     schedule = (np.arange(H) < 5).astype(float)
     plan = solve(PLANNER, REST, INDIFFERENT, guess_of(np.zeros(H)))
     assert np.all(plan.controls[:, 1] == 0.0)
-    free = eqx.tree_at(lambda c: c.R, INDIFFERENT, jnp.diag(jnp.array([1e-3, 0.0])))
-    plan = solve(PLANNER, REST, free, guess_of(schedule))
+    plan = solve(PLANNER, REST, INDIFFERENT, guess_of(schedule))
     np.testing.assert_array_equal(plan.controls[:, 1], schedule)
 
 
-def test_a_cost_of_switching_on_keeps_a_switch_off_that_would_hardly_pay():
+def test_a_cost_of_switching_keeps_a_switch_as_it_is_where_a_change_would_hardly_pay():
     off, on = solve_fixed(PLANNER, REST, BOTH_GO, OFF), solve(PLANNER, REST, BOTH_GO, OFF)
     gained = float(off.cost - on.cost)
-    careful = SwitchingILQR(H, 5, LIMITS, switches=(1,), switching_cost=gained)
+    careful = replace(PLANNER, switching_cost=gained)
     for scale, expected in ((1.1, 1.0), (0.9, 0.0)):
         weights = scale * BOTH_GO.Q, scale * BOTH_GO.R
         scaled = eqx.tree_at(lambda c: (c.Q, c.R), BOTH_GO, weights)
         assert np.all(solve(careful, REST, scaled, OFF).controls[:, 1] == expected)
         # It is on already: nothing is switched on.
         assert np.all(solve(careful, REST, scaled, guess_of(1.0)).controls[:, 1] == 1.0)
-    # To switch off costs nothing.
-    assert np.all(solve(careful, REST, INDIFFERENT, guess_of(1.0)).controls[:, 1] == 0.0)
+    # To switch off costs as much.
+    cheap = cost((0.0, 0.0), (0.0, 0.0), switch=0.5 * gained / H)
+    assert np.all(solve(careful, REST, cheap, guess_of(1.0)).controls[:, 1] == 1.0)
+    assert np.all(solve(PLANNER, REST, cheap, guess_of(1.0)).controls[:, 1] == 0.0)
 
 
 def test_the_active_set_gives_the_same_controls():
     observation = {"position": np.zeros((2, 1)), "velocity": np.zeros((2, 1))}
     controls = []
-    for make in (MPC, ActiveSetMPC):
-        mpc = make(Clutch(), PLANNER)
+    whole = MPC(Clutch(), PLANNER)
+    for mpc in (whole, ActiveSetMPC(whole)):
         state = mpc.reset(observation, NODES, BOTH_GO)
         plan, _ = mpc.step(observation, None, state)
         controls.append(np.asarray(plan.controls))
@@ -174,12 +180,12 @@ def test_the_active_set_gives_the_same_controls():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"limits": LIMITS}, r"switches must name a component.* found \(\) and 3"),
-        ({"limits": LIMITS, "switches": (1,), "changes": 12}, "changes be 1 to below the horizon"),
-        ({"switches": (1,)}, r"limits must have an entry for each of the switches \(1,\)"),
-        ({"limits": LIMITS, "switches": (2,)}, r"limits must have an entry for each"),
+        ({"proposals": (ChangingSchedules(1, 12),)}, r"changes must be 1 to below the horizon"),
+        ({"held": ()}, "a switch must be held and have limits, found component 1"),
+        ({"limits": None}, r"limits must have an entry for each of the held components \(1,\)"),
+        ({"held": (2,)}, r"limits must have an entry for each"),
     ],
 )
 def test_a_planner_without_a_switch_or_its_limits_is_refused(options, message):
     with pytest.raises(InvalidInputError, match=message):
-        SwitchingILQR(H, **options)
+        solve(replace(PLANNER, **options), REST, CHANGES, OFF)

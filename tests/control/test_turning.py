@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from contactgraph.control import ILQR, MPC, ControlLimits, PlanStatus, chain_cost
-from contactgraph.control.approaches import level_reach
+from contactgraph.control.proposals.approach import level_reach
 from contactgraph.data import InvalidInputError, Scene, generalized_coordinates
 from contactgraph.envs.contract import ChainCost
-from contactgraph.evaluate import TaskCost
 from contactgraph.model import ActuationFit, ContactDynamics, ModelConfig, ours, scene_nodes
+from contactgraph.policies import TaskCost
 
 UNIT, GOAL_ANGLE = 0.05, 0.4
 PICK, GOAL = [3.0, 3.0, 0.2, 0.2], [50.0, 50.0, 1.0, 1.0]

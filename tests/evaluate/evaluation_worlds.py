@@ -6,7 +6,9 @@ import numpy as np
 from jaxtyping import Array
 
 from contactgraph.data import Scene, Trajectory, pair_indices
+from contactgraph.evaluate import control_task
 from contactgraph.model import ContactBelief, LinearDynamics, ModelState, Nodes, two_type_belief
+from contactgraph.policies import task_policy
 
 DT = 0.05
 
@@ -92,3 +94,11 @@ def random_run(count: int, steps: int, seed: int, **fields) -> Trajectory:
         control=rng.normal(size=(steps, 2)),
         contact=contact | contact.swapaxes(1, 2),
     )
+
+
+def by_model(model, make, episodes, seed, on_episode=None, **options):
+    """Metrics and trajectories of a model under MPC; ``options`` are `task_policy`'s."""
+    task = make()
+    policy = task_policy(model, task, **options)
+    result = control_task(policy, task, episodes, seed, on_episode=on_episode)
+    return result.metrics, list(result.trajectories)

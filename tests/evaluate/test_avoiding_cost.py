@@ -7,7 +7,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import MultiPickupTask
-from contactgraph.evaluate import AvoidingCost, TaskCost
+from contactgraph.policies import AvoidingCost, TaskCost
 
 
 def in_scene(distractors: int) -> tuple[AvoidingCost, MultiPickupTask]:

@@ -5,7 +5,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, StickyTask
-from contactgraph.evaluate import AvoidingCost, CandidateTrials, TaskCost
+from contactgraph.policies import AvoidingCost, CandidateTrials, TaskCost
 
 DT = 0.05
 WEIGHTS = np.ones(4)

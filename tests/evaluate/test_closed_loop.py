@@ -7,7 +7,7 @@ from evaluation_worlds import scene_of
 
 from contactgraph.data import Trajectory
 from contactgraph.evaluate import closed_loop_metrics, wilson_interval
-from contactgraph.evaluate.closed_loop import approach
+from contactgraph.evaluate.control_task import approach
 
 
 def episode(speed, touch=None, distractor=None) -> Trajectory:

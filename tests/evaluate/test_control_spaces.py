@@ -8,12 +8,13 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluation_worlds import DT, scene_of
+from evaluation_worlds import DT, by_model, scene_of
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, RestPolicy, StickyTask
-from contactgraph.evaluate import TaskCost, control_by_policy, control_task, episode_seeds
+from contactgraph.evaluate import control_task, episode_seeds
 from contactgraph.model import LinearDynamics, two_type_belief
+from contactgraph.policies import TaskCost
 
 STEPS = 24
 GAIN = {"displacement": 0.05, "position": 0.3}
@@ -89,7 +90,7 @@ class HandTask:
 def controlled(kind, low, high, start, goal, **options):
     """Metrics, the one trajectory, and the controller's record, under the model of the task."""
     task, records = partial(HandTask, kind, low, high, start, goal, **options), []
-    metrics, (trajectory,) = control_task(
+    metrics, (trajectory,) = by_model(
         *(Hand(kind, len(low)), task, 1, 0),
         horizon=8,
         iterations=4,
@@ -164,9 +165,9 @@ def test_a_task_without_control_is_refused():
     task = partial(HandTask, "displacement", nothing, nothing, (0.0, 0.0), (1.0, 1.0))
     message = r"^the task takes no control \(U = 0\), so nothing can control it$"
     with pytest.raises(InvalidInputError, match=message):
-        control_task(Hand("displacement", 0), task, 1, 0)
+        by_model(Hand("displacement", 0), task, 1, 0)
     with pytest.raises(InvalidInputError, match=message):
-        control_by_policy(RestPolicy(), task, 1, 0)
+        control_task(RestPolicy(), task(), 1, 0)
 
 
 def test_a_policy_gets_the_seeds_of_a_model():
@@ -181,8 +182,15 @@ def test_a_policy_gets_the_seeds_of_a_model():
 
     policy, done = Straight(), []
     task = partial(HandTask, "displacement", [-1, -1], [1, 1], (0.0, 0.0), (0.3, -0.2))
-    metrics, runs = control_by_policy(policy, task, 3, 7, on_episode=done.append)
-    assert done == runs and (metrics.success_rate, metrics.scenes, metrics.seed) == (1.0, 3, 7)
+    result = control_task(
+        policy, task(), 3, 7, on_episode=lambda run, record: done.append((run, record))
+    )
+    metrics, runs = result.metrics, result.trajectories
+    assert done == [(run, None) for run in runs] and (
+        metrics.success_rate,
+        metrics.scenes,
+        metrics.seed,
+    ) == (1.0, 3, 7)
     derived = [int(np.random.SeedSequence(s).generate_state(1)[0]) for s in episode_seeds(3, 7)]
     assert policy.seeds == derived
     assert metrics.plan_ms_p50 is None and metrics.goal_distance_m_mean < 1e-6

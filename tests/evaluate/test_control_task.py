@@ -5,20 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from evaluation_worlds import DT, GluedBodies, random_run, scene_of
+from evaluation_worlds import DT, GluedBodies, by_model, random_run, scene_of
 
 from contactgraph.control import ILQR, MPC, ControlLimits, QuadraticCost, chain_cost
 from contactgraph.data import Dataset, InvalidInputError, pair_indices
 from contactgraph.envs import ChainCost, PickupTask
-from contactgraph.evaluate import (
-    MPCPolicy,
-    TaskCost,
-    control_task,
-    episode_seeds,
-    evaluate_open_loop,
-    model_diagnostics,
-)
+from contactgraph.evaluate import episode_seeds, evaluate_open_loop, model_diagnostics
 from contactgraph.model import PRESETS, ContactBelief, ModelConfig, scene_nodes, two_type_belief
+from contactgraph.policies import MPCPolicy, TaskCost
 
 SEER = GluedBodies(reach=0.081)
 
@@ -40,7 +34,7 @@ def policy_of(model, capacity=0, limits=None) -> MPCPolicy:
 
 def test_the_known_world_is_picked_up_in_one_sweep():
     records = []
-    metrics, runs = control_task(
+    metrics, runs = by_model(
         SEER, PickupTask, 2, 0, on_episode=lambda run, record: records.append((run, record))
     )
     assert metrics.success_rate == 1.0 and metrics.episodes == 2 and metrics.seed == 0
@@ -62,7 +56,7 @@ def test_the_known_world_is_picked_up_in_one_sweep():
 @pytest.fixture(scope="module")
 def followed():
     """Metrics of an episode in which every plan is followed for half a second."""
-    metrics, _ = control_task(SEER, PickupTask, 1, 0, replan_every=10)
+    metrics, _ = by_model(SEER, PickupTask, 1, 0, replan_every=10)
     return metrics
 
 
@@ -91,7 +85,7 @@ class Touching(PickupTask):
 
 
 def test_estimates_and_plans_are_scored_against_holding_where_it_is_observed(followed):
-    touching, (run,) = control_task(SEER, Touching, 1, 0, replan_every=10)
+    touching, (run,) = by_model(SEER, Touching, 1, 0, replan_every=10)
     assert run.contact[:, 0, 1].all() and not run.holding[:, 0, 1].all()
     assert touching.estimated == followed.estimated and touching.planned == followed.planned
     assert followed.estimated.edges.hits > 0
@@ -268,8 +262,8 @@ def test_mismatched_inputs_are_rejected():
             return replace(super().scene, goal=None)
 
     with pytest.raises(InvalidInputError, match="the scene has no goal"):
-        control_task(SEER, Aimless, 1, 0)
+        by_model(SEER, Aimless, 1, 0)
     with pytest.raises(InvalidInputError, match="episodes must be at least 1, found 0"):
-        control_task(SEER, PickupTask, 0, 0)
+        by_model(SEER, PickupTask, 0, 0)
     with pytest.raises(InvalidInputError, match="no step since reset"):
         policy_of(SEER).record()

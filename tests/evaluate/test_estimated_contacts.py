@@ -7,7 +7,8 @@ import pytest
 from evaluation_worlds import DT, random_run, scene_of
 
 from contactgraph.data import InvalidInputError, Trajectory
-from contactgraph.evaluate import EstimatedContacts, ObservationNoise, estimated_contacts
+from contactgraph.evaluate import EstimatedContacts, estimated_contacts
+from contactgraph.policies import ObservationNoise
 
 
 def run_of(contact) -> Trajectory:

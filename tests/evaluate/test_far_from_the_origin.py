@@ -6,13 +6,14 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from evaluation_worlds import by_model
 
 from contactgraph.cli.main import run
 from contactgraph.cli.models import stored_model
 from contactgraph.data import Dataset, Trajectory, read_trajectories, write_trajectories
 from contactgraph.data.dataset import far_origin, near_origin, scene_about
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import collect, control_task, evaluate_open_loop
+from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.train import RunFolder
 
 UTM = np.array([5e5, 4.5e6])
@@ -101,8 +102,8 @@ class FarPickup(PickupTask):
 
 def test_plans_are_those_at_the_origin() -> None:
     model = stored_model("pickup")
-    near, _ = control_task(model, PickupTask, 1, 3, replan_every=10)
-    far, (trajectory,) = control_task(model, FarPickup, 1, 3, replan_every=10)
+    near, _ = by_model(model, PickupTask, 1, 3, replan_every=10)
+    far, (trajectory,) = by_model(model, FarPickup, 1, 3, replan_every=10)
     assert near.success_rate == far.success_rate == 1.0
     assert far.goal_distance_m_median == pytest.approx(near.goal_distance_m_median, abs=2e-3)
     assert far.planned.rmse_moving == pytest.approx(near.planned.rmse_moving, rel=0.3)

@@ -5,12 +5,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from evaluation_worlds import GluedBodies
+from evaluation_worlds import GluedBodies, by_model
 
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import MPCPolicy, collect, control_task, evaluate_open_loop, run_episode
+from contactgraph.evaluate import collect, evaluate_open_loop, run_episode
 from contactgraph.model import MotionNoise, load_model, shipped_model
+from contactgraph.policies import MPCPolicy
 
 WIDER = partial(PickupTask, radius=0.046)
 
@@ -46,9 +47,9 @@ def test_motion_reveals_contacts_of_recorded_trajectories_that_distance_denies(
 
 @pytest.mark.slow
 def test_motion_reveals_contacts_in_closed_loop_that_distance_denies(model) -> None:
-    without, _ = control_task(model, WIDER, 1, 7100, measured=False, replan_every=10)
+    without, _ = by_model(model, WIDER, 1, 7100, measured=False, replan_every=10)
     noise = MotionNoise()
-    inferred, _ = control_task(
+    inferred, _ = by_model(
         model, WIDER, 1, 7100, measured=False, replan_every=10, motion_noise=noise
     )
     assert without.estimated.edges.recall < 0.5 and inferred.estimated.edges.f1 > 0.95

@@ -5,11 +5,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from evaluation_worlds import DT, GluedBodies, random_run, scene_of
+from evaluation_worlds import DT, GluedBodies, by_model, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError
 from contactgraph.envs import DoorTask, PickupTask
-from contactgraph.evaluate import control_task, evaluate_open_loop, model_diagnostics
+from contactgraph.evaluate import evaluate_open_loop, model_diagnostics
 from contactgraph.model import PRESETS, ModelConfig
 from contactgraph.model.scene import check_fit
 
@@ -68,4 +68,4 @@ def test_a_missing_anchor_is_reported_wherever_a_model_reads_data(models) -> Non
             model_diagnostics(model, trajectory)
     for task, model in ((PickupTask, models[1]), (DoorTask, models[0])):
         with pytest.raises(InvalidInputError, match=r"the task has (no|an) anchor"):
-            control_task(model, task, 1, 0)
+            by_model(model, task, 1, 0)

@@ -10,14 +10,9 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import (
-    OpenLoopDetail,
-    SensorFaults,
-    collect,
-    evaluate_open_loop,
-    model_diagnostics,
-)
+from contactgraph.evaluate import OpenLoopDetail, collect, evaluate_open_loop, model_diagnostics
 from contactgraph.model import PRESETS, ModelConfig, ours
+from contactgraph.policies import SensorFaults
 
 
 @pytest.fixture(scope="module")

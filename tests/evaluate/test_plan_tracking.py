@@ -9,12 +9,9 @@ from evaluation_worlds import random_run
 
 from contactgraph.control import PlanStatus
 from contactgraph.data import pair_indices
-from contactgraph.evaluate import (
-    EpisodeRecord,
-    PlanTrackingError,
-    plan_tracking_error,
-)
+from contactgraph.evaluate import PlanTrackingError, plan_tracking_error
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
+from contactgraph.policies import EpisodeRecord
 
 HORIZON, STEPS = 12, 10  # 0.5 s are 10 steps
 RUN = random_run(3, 45, 4)

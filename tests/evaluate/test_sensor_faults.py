@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from evaluation_worlds import DT, GluedBodies, random_run, scene_of
+from evaluation_worlds import DT, GluedBodies, by_model, random_run, scene_of
 
 from contactgraph.data import Dataset, InvalidInputError, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import SensorFaults, collect, control_task, evaluate_open_loop
+from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import ContactSensor
+from contactgraph.policies import SensorFaults
 
 RUN = random_run(6, 2000, 0)
 OFF_DIAGONAL = ~np.eye(6, dtype=bool)
@@ -91,7 +92,7 @@ def test_the_controller_observes_faults_and_the_recording_is_exact():
         ("blind", SensorFaults(), False),
     ):
         records = []
-        _, (runs[name],) = control_task(
+        _, (runs[name],) = by_model(
             GluedBodies(), PickupTask, 1, 0, horizon=5, iterations=2, faults=faults,
             sensor=ContactSensor(), measured=measured,
             on_episode=lambda run, record, to=records: to.append(record),

@@ -7,8 +7,9 @@ import pytest
 from evaluation_worlds import DT, Fades, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, Trajectory
-from contactgraph.evaluate import SensorFaults, Verdict, evaluate_open_loop
+from contactgraph.evaluate import Verdict, evaluate_open_loop
 from contactgraph.evaluate.open_loop_metrics import unbeaten_baselines
+from contactgraph.policies import SensorFaults
 
 
 def sliding(contact: np.ndarray | None = None) -> Trajectory:

@@ -1,8 +1,9 @@
 """``contactgraph control``: a model, or a scripted policy, in closed loop with a task."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,13 +18,16 @@ from contactgraph.cli.options import (
     Distractors,
     Engine,
     FalseAlarms,
+    FaultName,
     Grasp,
     HiddenSwitch,
     Horizon,
     Inference,
+    MetricNames,
     Misses,
     Objects,
     OutputFile,
+    PlannerName,
     Routes,
     Segment,
     Starts,
@@ -31,8 +35,10 @@ from contactgraph.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from contactgraph.data import Trajectory
-    from contactgraph.evaluate import ClosedLoopMetrics, EpisodeRecord
+    from contactgraph.data import Dataset, Trajectory
+    from contactgraph.envs.contract import Policy, Task
+    from contactgraph.evaluate import OpenLoopMetrics
+    from contactgraph.policies import EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
 _HORIZON_WITHOUT_CONTACTS = 2
@@ -40,9 +46,10 @@ _HORIZON_WITHOUT_CONTACTS = 2
 demonstrations made: a plan that ends before their benefit would hover before the object."""
 
 _RECORDED = (
-    *("cost", "horizon", "iterations", "starts", "routes", "segment", "clearance", "replan_every"),
-    *("false_alarms", "misses", "delay", "unmeasured"),
-    *("position_noise", "velocity_noise", "infer_contacts", "inference"),
+    *("cost", "horizon", "iterations", "starts", "routes", "segment", "planner", "clearance"),
+    "replan_every",
+    *("false_alarms", "misses", "delay", "fault", "unmeasured"),
+    *("position_noise", "velocity_noise", "inference"),
 )
 """Options that only a model takes; the JSON file repeats them."""
 _ROUTES = 7
@@ -54,17 +61,17 @@ _PREDICTED_S = 0.5
 
 
 @dataclass(frozen=True)
-class _Controlled:
-    """The episodes of a controller, and their numbers by JSON key."""
+class _Controller:
+    """A policy, and what is known of it."""
 
-    trajectories: "Sequence[Trajectory]"
-    metrics: "ClosedLoopMetrics"
+    policy: "Policy"
     settings: Mapping[str, Any]
-    predicted: Mapping[str, Any]
-    """Predictions of the episodes."""
-    measured: Mapping[str, Any]
-    scene: "Callable[[str], SceneTrajectory]"
-    """The first episode, to be drawn under a name."""
+    """By JSON key."""
+    how: str = ""
+    """One line on how it plans."""
+    predictor: "Callable[[Dataset], OpenLoopMetrics] | None" = None
+    """Measures predictions of executed episodes; None: it predicts nothing."""
+    drawn: "Callable[[str, Trajectory, EpisodeRecord | None], SceneTrajectory] | None" = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,7 @@ class Control:
     starts: Starts = None
     routes: Routes = None
     segment: Segment = 0
+    planner: PlannerName = None
     replan_every: int = 1
     """Steps between plans; the plan's feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS", help_behavior_hint="(optional)")] = None
@@ -105,17 +113,17 @@ class Control:
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
+    fault: FaultName = None
     unmeasured: bool = False
     """Control without a contact sensor."""
     position_noise: Annotated[float, arg(metavar="M")] = 0.0
     """Standard deviation of the noise on every observed position, m."""
     velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
     """Standard deviation of the noise on every observed velocity, m/s."""
-    infer_contacts: bool = False
-    """Correct the contact beliefs by the observed motion, too. This is the default."""
     ignore_motion: bool = False
     """Correct the contact beliefs by measured contacts alone."""
     inference: Inference = "filter"
+    metric: MetricNames = ()
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None
@@ -129,22 +137,15 @@ class Control:
 
         Returns a function that gives the first episode, with its plans, a name to draw it under.
         """
-        from contactgraph.cli.control_output import not_predicted
-        from contactgraph.cli.known_tasks import HIDDEN_HOLD_STARTS
-        from contactgraph.cli.models import (
-            data_simulator,
-            motion_evidence,
-            stored_model,
-            with_inference,
-        )
-        from contactgraph.cli.options import check_episodes, check_range, check_seed, sensor_faults
-        from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.task_types import given_options
-        from contactgraph.cli.tasks import known_task, task_factory
-        from contactgraph.control import read_cost, searches
-        from contactgraph.data import Dataset, InvalidInputError
-        from contactgraph.evaluate import ObservationNoise, control_task, evaluate_open_loop
-        from contactgraph.viz import check_animation, scene_trajectory
+        from contactgraph.cli.control_output import not_planned, not_predicted, print_summary
+        from contactgraph.cli.models import data_simulator
+        from contactgraph.cli.options import check_episodes, check_seed, own_functions
+        from contactgraph.cli.output import check_writable, progress, write_json
+        from contactgraph.cli.task_types import given_options, options_metadata
+        from contactgraph.cli.tasks import task_factory
+        from contactgraph.data import Dataset, write_trajectories
+        from contactgraph.evaluate import control_task
+        from contactgraph.viz import check_animation, write_animation
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
@@ -152,72 +153,120 @@ class Control:
             check_animation(self.video)
         check_episodes(self.episodes)
         check_seed(self.seed)
+        metrics = own_functions("--metric", self.metric)
         options = given_options(self)
-        if self.model in _SCRIPTED:
-            return self._write(self._by_policy(options), options)
-        known = known_task(self.task)
-        cost = None if self.cost is None else read_cost(self.cost)
-        demands = cost is None or bool(cost.contacts)
-        horizon = known.horizon * (1 if demands else _HORIZON_WITHOUT_CONTACTS)
-        if self.horizon is not None:
-            check_range("--horizon", self.horizon, 1, 1000)
-            horizon = self.horizon
-        check_range("--iterations", self.iterations, 1, 1000)
-        if self.starts is not None:
-            check_range("--starts", self.starts, 0, 10_000)
-        routes = (0 if self.clearance is None else _ROUTES) if self.routes is None else self.routes
-        check_range("--routes", routes, 0, 1000)
-        check_range("--segment", self.segment, 0, horizon)
-        if self.clearance is not None:
-            check_range("--clearance", self.clearance, 0, 10)
-        faults = sensor_faults(self.false_alarms, self.misses, self.delay, self.seed)
-        if self.unmeasured and not faults.exact:
-            raise InvalidInputError(
-                "--unmeasured: no contact is measured, so --false-alarms, --misses and --delay "
-                "must be left out"
-            )
-        noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
-        factory = task_factory(self.task, options)
-        model = with_inference(stored_model(self.model), self.inference)
-        starts = self.starts
-        if starts is None:
-            starts = HIDDEN_HOLD_STARTS if self.hidden_switch else known.starts
-            starts = starts if searches(model) and not routes + self.segment else 0
-        asked, ignored = self.infer_contacts, self.ignore_motion
-        by_motion = motion_evidence(model, asked, ignored, noise.position, noise.velocity)
-        first: list[EpisodeRecord] = []
+        scripted = self.model in _SCRIPTED
+        task = task_factory(self.task, options)()
+        controller = self._script() if scripted else self._mpc(task)
+        first: list[EpisodeRecord | None] = []
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:
 
-            def on_episode(trajectory: "Trajectory", record: "EpisodeRecord") -> None:
+            def on_episode(trajectory: "Trajectory", record: "EpisodeRecord | None") -> None:
                 first[:] = first or [record]
                 bar.advance(next(finished))
 
-            metrics, trajectories = control_task(
-                model,
-                factory,
+            result = control_task(
+                controller.policy,
+                task,
                 self.episodes,
                 self.seed,
-                cost=cost,
-                horizon=horizon,
-                iterations=self.iterations,
-                starts=starts,
-                routes=routes,
-                segment=self.segment,
-                clearance=self.clearance,
-                replan_every=self.replan_every,
-                deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
-                faults=faults,
-                measured=not self.unmeasured,
-                noise=noise,
-                motion_noise=by_motion,
+                metrics=metrics,
                 on_episode=on_episode,
             )
-        predicted: Mapping[str, Any] = not_predicted()
-        if any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories):
-            predicted = evaluate_open_loop(
-                model, Dataset(tuple(trajectories)), faults=faults, motion_noise=by_motion
-            ).to_json()
+        trajectories, predicted = result.trajectories, not_predicted()
+        long = any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories)
+        if controller.predictor is not None and long:
+            predicted = controller.predictor(Dataset(tuple(trajectories))).to_json()
+        metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
+
+        def drawn(name: str) -> "SceneTrajectory":
+            return controller.drawn(name, trajectories[0], first[0])
+
+        if self.save is not None:
+            write_trajectories(self.save, trajectories, metadata)
+        if self.video is not None:
+            write_animation(self.video, drawn(f"{self.task}, {self.distractors} distractors"))
+        measured = {**result.to_json(), **(not_planned() if scripted else {})}
+        values = {**metadata, **controller.settings, **predicted, **measured}
+        write_json(self.json, {"run": self.model, **values})
+        if not scripted:
+            recorded = data_simulator(self.model)
+            simulator = str(trajectories[0].scene.metadata.get("simulator", recorded))
+            if recorded not in (None, simulator):
+                print(f"{self.model} was trained on {recorded}; these episodes are on {simulator}")
+            print(controller.how)
+        print_summary(result.metrics, predicted)
+        for name in metrics:
+            print(f"{name:<27}{values[name]}")
+        return drawn
+
+    def _mpc(self, task: "Task") -> _Controller:
+        """MPC with the model."""
+        from contactgraph.cli.known_tasks import HIDDEN_HOLD_STARTS
+        from contactgraph.cli.models import motion_evidence, stored_model, with_inference
+        from contactgraph.cli.options import check_range, load_object, sensor_fault
+        from contactgraph.cli.tasks import known_task
+        from contactgraph.control import read_cost, searches
+        from contactgraph.data import InvalidInputError
+        from contactgraph.evaluate import evaluate_open_loop
+        from contactgraph.policies import ObservationNoise, task_policy
+        from contactgraph.viz import scene_trajectory
+
+        cost = None if self.cost is None else read_cost(self.cost)
+        task.reset(seed=self.seed)
+        horizon, known_starts, reason = known_task(self.task).planning(task.scene)
+        if cost is not None and not cost.contacts:
+            horizon *= _HORIZON_WITHOUT_CONTACTS
+        if self.horizon is not None:
+            horizon, reason = self.horizon, "--horizon"
+        check_range("--horizon", horizon, 1, 1000)
+        check_range("--iterations", self.iterations, 1, 1000)
+        routes = (0 if self.clearance is None else _ROUTES) if self.routes is None else self.routes
+        check_range("--starts", self.starts or 0, 0, 10_000)
+        check_range("--routes", routes, 0, 1000)
+        check_range("--segment", self.segment, 0, horizon)
+        check_range("--clearance", self.clearance or 0, 0, 10)
+        fault = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, self.seed)
+        if self.unmeasured and not fault.exact:
+            raise InvalidInputError(
+                "--unmeasured: no contact is measured, so --false-alarms, --misses, --delay and "
+                "--fault must be left out"
+            )
+        noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
+        model = with_inference(stored_model(self.model), self.inference)
+        starts, planner = self.starts, None
+        if self.planner is not None:
+            if starts or self.routes or self.segment:
+                raise InvalidInputError(
+                    "--planner: it plans alone, so --starts, --routes and --segment must be left "
+                    "out"
+                )
+            planner, starts, routes = load_object("--planner", self.planner), 0, 0
+        if starts is None:
+            starts = HIDDEN_HOLD_STARTS if self.hidden_switch else known_starts
+            starts = starts if searches(model) and not routes + self.segment else 0
+        search = f"iLQR from the best of {starts} approaches" if starts else "iLQR"
+        by_motion = motion_evidence(model, self.ignore_motion, noise.position, noise.velocity)
+        policy = task_policy(
+            model,
+            task,
+            seed=self.seed,
+            cost=cost,
+            horizon=horizon,
+            iterations=self.iterations,
+            starts=starts,
+            routes=routes,
+            segment=self.segment,
+            planner=planner,
+            clearance=self.clearance,
+            replan_every=self.replan_every,
+            deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
+            faults=fault,
+            measured=not self.unmeasured,
+            noise=noise,
+            motion_noise=by_motion,
+        )
         settings = {
             **{name: getattr(self, name) for name in _RECORDED},
             "cost": None if self.cost is None else str(self.cost),
@@ -226,27 +275,20 @@ class Control:
             "routes": routes,
             "infer_contacts": by_motion is not None,
         }
-        recorded = data_simulator(self.model)
-        simulator = str(trajectories[0].scene.metadata.get("simulator", recorded))
-        if recorded not in (None, simulator):
-            print(f"{self.model} was trained on {recorded}; these episodes are on {simulator}")
-        controlled = _Controlled(
-            trajectories,
-            metrics,
+        return _Controller(
+            policy,
             settings,
-            predicted,
-            metrics.to_json(),
-            lambda name: scene_trajectory(model, name, trajectories[0], first[0].plan),
+            f"plans, {horizon} steps ahead".ljust(27) + f"{self.planner or search} ({reason})",
+            partial(evaluate_open_loop, model, faults=fault, motion_noise=by_motion),
+            lambda name, trajectory, record: scene_trajectory(
+                model, name, trajectory, None if record is None else record.plan
+            ),
         )
-        return self._write(controlled, options)
 
-    def _by_policy(self, options: Mapping[str, Any]) -> _Controlled:
-        """By a scripted policy, which predicts, plans and estimates nothing."""
-        from contactgraph.cli.control_output import not_planned, not_predicted
-        from contactgraph.cli.output import progress
-        from contactgraph.cli.tasks import known_task, task_factory
+    def _script(self) -> _Controller:
+        """A scripted policy, which predicts, plans and estimates nothing."""
+        from contactgraph.cli.tasks import known_task
         from contactgraph.data import InvalidInputError
-        from contactgraph.evaluate import control_by_policy
         from contactgraph.viz import recorded_scene
 
         defaults = {each.name: each.default for each in fields(self)}
@@ -260,42 +302,8 @@ class Control:
             )
         known = known_task(self.task)
         fixed_start = self.model == "fixed-start" and known.fixed_start
-        factory = task_factory(self.task, options)
-        finished = itertools.count(1)
-        with progress("controlling", self.episodes) as bar:
-            metrics, trajectories = control_by_policy(
-                (fixed_start or known.demonstrator)(),
-                factory,
-                self.episodes,
-                self.seed,
-                on_episode=lambda trajectory: bar.advance(next(finished)),
-            )
-        return _Controlled(
-            trajectories,
-            metrics,
-            dict.fromkeys(_RECORDED),
-            not_predicted(),
-            {**metrics.to_json(), **not_planned()},
-            lambda name: recorded_scene(name, trajectories[0]),
+        return _Controller(
+            (fixed_start or known.demonstrator)(),
+            dict.fromkeys((*_RECORDED, "infer_contacts")),
+            drawn=lambda name, trajectory, _: recorded_scene(name, trajectory),
         )
-
-    def _write(
-        self, controlled: _Controlled, options: Mapping[str, Any]
-    ) -> "Callable[[str], SceneTrajectory]":
-        """The files that are asked for, and the summary."""
-        from contactgraph.cli.control_output import print_summary
-        from contactgraph.cli.output import write_json
-        from contactgraph.cli.task_types import options_metadata
-        from contactgraph.data import Metadata, write_trajectories
-        from contactgraph.viz import write_animation
-
-        metadata: Metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
-        if self.save is not None:
-            write_trajectories(self.save, controlled.trajectories, metadata)
-        if self.video is not None:
-            name = f"{self.task}, {self.distractors} distractors"
-            write_animation(self.video, controlled.scene(name))
-        values = {**controlled.settings, **controlled.predicted, **controlled.measured}
-        write_json(self.json, {"run": self.model, **metadata, **values})
-        print_summary(controlled.metrics, controlled.predicted)
-        return controlled.scene

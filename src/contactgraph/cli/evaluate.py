@@ -13,7 +13,9 @@ from contactgraph.cli.options import (
     Delay,
     Device,
     FalseAlarms,
+    FaultName,
     Inference,
+    MetricNames,
     Misses,
     ModelArgument,
     OutputFile,
@@ -45,11 +47,11 @@ class Evaluate:
     false_alarms: FalseAlarms = 0.0
     misses: Misses = 0.0
     delay: Delay = 0
-    infer_contacts: bool = False
-    """Correct beliefs by the observed motion, too. This is the default."""
+    fault: FaultName = None
     ignore_motion: bool = False
     """Correct beliefs by measured contacts alone."""
     inference: Inference = "filter"
+    metric: MetricNames = ()
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
         None
     )
@@ -72,7 +74,7 @@ class Evaluate:
             stored_model,
             with_inference,
         )
-        from contactgraph.cli.options import check_range, sensor_faults
+        from contactgraph.cli.options import check_range, own_functions, sensor_fault
         from contactgraph.cli.output import check_writable, write_json
         from contactgraph.cli.tasks import recorded_task
         from contactgraph.data import read_trajectories, with_edge_labels
@@ -85,13 +87,14 @@ class Evaluate:
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
-        faults = sensor_faults(self.false_alarms, self.misses, self.delay, seed=0)
+        faults = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, seed=0)
+        own_metrics = own_functions("--metric", self.metric)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
         check_range("--forced-every", self.forced_every, 1, 100_000)
         model = with_inference(stored_model(self.model), self.inference)
         dataset = in_steps_of(model, read_trajectories(self.data), str(self.data))
-        noise = motion_evidence(model, self.infer_contacts, self.ignore_motion)
+        noise = motion_evidence(model, self.ignore_motion)
         steps = horizon_steps(dataset, self.horizon)  # a mistake is told before minutes of fitting
         tested, episodes = dataset, tuple[int, ...]()
         if self.forced:
@@ -105,6 +108,7 @@ class Evaluate:
             faults=faults,
             motion_noise=noise,
             baselines=baselines,
+            metrics=own_metrics,
             last_window_of=episodes,
         )
         growth = None
@@ -118,6 +122,7 @@ class Evaluate:
             "false_alarms": self.false_alarms,
             "misses": self.misses,
             "delay": self.delay,
+            "fault": self.fault,
             "infer_contacts": noise is not None,
             "inference": self.inference,
             "forced_every": self.forced_every if self.forced else None,
@@ -129,6 +134,8 @@ class Evaluate:
         }
         write_json(self.json, values)
         _print_summary(values, metrics.unbeaten)
+        for name in own_metrics:
+            print(f"{name}: {values[name]}")
         if effort.get("least_squares_missing") is not None:
             print(f"least squares: {effort['least_squares_missing']}")
         print(f"contact distance: {contact_distance_text(model)}")

@@ -77,7 +77,7 @@ class LearnCost:
         model_file = model_path(self.model)
         dataset = self._dataset()
         task = _task_of(dataset)
-        default = CostLearningConfig().horizon if task is None else task.horizon
+        default = (task and task.horizon) or CostLearningConfig().horizon
         config = CostLearningConfig(
             horizon=default if self.horizon is None else self.horizon,
             steps=self.steps,

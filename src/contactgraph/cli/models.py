@@ -93,23 +93,16 @@ def data_simulator(name: str) -> str | None:
 
 
 def motion_evidence(
-    model: ContactDynamics, asked: bool, ignored: bool, position: float = 0.0, velocity: float = 0.0
+    model: ContactDynamics, ignored: bool, position: float = 0.0, velocity: float = 0.0
 ) -> MotionNoise | None:
     """The noise by which motion corrects beliefs, with that of observations, m and m/s.
 
-    ``asked`` and ``ignored`` are ``--infer-contacts`` and ``--ignore-motion``. None: motion does
-    not correct beliefs, because it is ignored, or because the model cannot judge it and was not
-    asked to. Raises `InvalidInputError` for both flags, or a model that is asked and cannot.
+    None: motion does not correct beliefs, because it is ignored (``--ignore-motion``), or because
+    the model cannot judge it.
     """
-    if asked and ignored:
-        raise InvalidInputError("--infer-contacts and --ignore-motion exclude each other")
-    if ignored:
-        return None
     try:
-        return motion_noise(check_motion_model(model), position, velocity)
+        return None if ignored else motion_noise(check_motion_model(model), position, velocity)
     except InvalidInputError:
-        if asked:
-            raise
         return None
 
 

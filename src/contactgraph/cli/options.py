@@ -4,6 +4,7 @@ import importlib
 import math
 import os
 import sys
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -15,7 +16,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.parallel import Executor, LocalExecutor
 
 if TYPE_CHECKING:
-    from contactgraph.evaluate import SensorFaults
+    from contactgraph.policies import SensorFault
 
 Value = TypeVar("Value")
 
@@ -102,6 +103,22 @@ Misses = Annotated[
     float,
     arg(metavar="RATE", help="Share of touching edges that the contact sensor reports as free."),
 ]
+FaultName = Annotated[
+    str | None,
+    arg(
+        metavar="MODULE:CLASS",
+        help="A faulty contact sensor of your own, a class of SensorFault.",
+        help_behavior_hint="(none)",
+    ),
+]
+MetricNames = Annotated[
+    tuple[str, ...],
+    arg(
+        metavar="MODULE:FUNCTION ...",
+        help="Metrics of your own, added under the functions' names.",
+        help_behavior_hint="(none)",
+    ),
+]
 Delay = Annotated[int, arg(metavar="STEPS", help="Delay of the contact sensor, steps.")]
 Horizon = Annotated[
     int | None,
@@ -140,6 +157,15 @@ Clearance = Annotated[
         metavar="M",
         help="Gap to keep from bodies that the task does not name, m.",
         help_behavior_hint="(may touch them)",
+    ),
+]
+PlannerName = Annotated[
+    str | None,
+    arg(
+        metavar="MODULE:FACTORY",
+        help="A planner of your own: a class or function that takes the keywords horizon and "
+        "limits.",
+        help_behavior_hint="(iLQR)",
     ),
 ]
 Inference = Annotated[
@@ -229,15 +255,36 @@ def check_share(flag: str, share: float) -> None:
         raise InvalidInputError(f"{flag} must be 0 to 1, found {share}")
 
 
-def sensor_faults(false_alarms: float, misses: float, delay: int, seed: int) -> "SensorFaults":
+def sensor_fault(
+    name: str | None, false_alarms: float, misses: float, delay: int, seed: int
+) -> "SensorFault":
     """The contact sensor that the flags describe; raises `InvalidInputError` for wrong values."""
-    from contactgraph.evaluate import SensorFaults
+    from contactgraph.policies import SensorFault, SensorFaults
 
     for flag, rate in (("--false-alarms", false_alarms), ("--misses", misses)):
         if not 0.0 <= rate < 1.0:
             raise InvalidInputError(f"{flag} must be a share from 0 to below 1, found {rate}")
     check_range("--delay", delay, 0, 1000)
-    return SensorFaults(false_alarms, misses, delay, seed)
+    faults = SensorFaults(false_alarms, misses, delay, seed)
+    if name is None:
+        return faults
+    if not faults.exact:
+        raise InvalidInputError(
+            "--fault: it errs alone, so --false-alarms, --misses and --delay must be left out"
+        )
+    own = load_object("--fault", name)()
+    if not isinstance(own, SensorFault):
+        raise InvalidInputError(f"--fault {name}: must be a class of SensorFault, found {own!r}")
+    return own
+
+
+def own_functions(flag: str, names: tuple[str, ...]) -> dict[str, Callable[..., Any]]:
+    """Functions ``module:function``, by the name of the function."""
+    found = {name.rpartition(":")[2]: load_object(flag, name) for name in names}
+    for name, function in found.items():
+        if not callable(function):
+            raise InvalidInputError(f"{flag} {name}: must be a function, found {function!r}")
+    return found
 
 
 def device_count(batch_size: int) -> int:

@@ -2,15 +2,17 @@
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, Device, OutputFile
+from contactgraph.cli.options import AUTO, Device, OutputFile, PlannerName
 
 if TYPE_CHECKING:
     from contactgraph.cli.task_types import KnownTask
     from contactgraph.play import StageChoice, StageParts
+    from contactgraph.policies import PlannerFactory
 
 _BY_NAME = ("pickup", "multi-pickup", "door", "franka")
 """Tasks with a shipped model of their name."""
@@ -50,6 +52,7 @@ class Play:
     """Open the page in the system's browser."""
     record: OutputFile = None
     """Write the episodes to this dataset file (HDF5), at the end of each and at Ctrl-C."""
+    planner: PlannerName = None
     device: Device = AUTO
 
     def run(self) -> None:
@@ -58,7 +61,7 @@ class Play:
         import webbrowser
 
         from contactgraph.cli.known_tasks import TASKS
-        from contactgraph.cli.options import check_range, check_seed
+        from contactgraph.cli.options import check_range, check_seed, load_object
         from contactgraph.cli.output import check_writable
         from contactgraph.cli.tasks import task_names
         from contactgraph.data import InvalidInputError
@@ -80,7 +83,9 @@ class Play:
         driven = [name for name in task_names() if name not in TASKS or _is_driven(TASKS[name])]
         tasks = dict.fromkeys((task, *driven))
         choice = StageChoice(self.model, task, self.distractors)
-        session = Session(choice, stage_parts, tuple(models), tuple(tasks), self.seed, self.record)
+        planner = None if self.planner is None else load_object("--planner", self.planner)
+        parts = partial(stage_parts, planner=planner)
+        session = Session(choice, parts, tuple(models), tuple(tasks), self.seed, self.record)
         listening = listening_socket(self.port)
         url = f"{origin_of(listening)}/"
 
@@ -109,7 +114,7 @@ def _is_driven(task: "KnownTask") -> bool:
     return task.demonstrator is not RestPolicy
 
 
-def stage_parts(choice: "StageChoice") -> "StageParts":
+def stage_parts(choice: "StageChoice", planner: "PlannerFactory | None" = None) -> "StageParts":
     """The model and the task of these names; raises `InvalidInputError`."""
     from contactgraph.cli.models import motion_evidence, stored_model
     from contactgraph.cli.tasks import known_task, task_factory
@@ -118,12 +123,15 @@ def stage_parts(choice: "StageChoice") -> "StageParts":
 
     known = known_task(choice.task)
     options = {"distractors": choice.distractors} if choice.distractors else {}
-    factory = task_factory(choice.task, options)
+    task = task_factory(choice.task, options)()
+    task.reset(seed=0)
     model = stored_model(choice.model)
+    horizon, starts, _ = known.planning(task.scene)
     return StageParts(
         model=model,
-        task=factory(),
-        horizon=known.horizon,
-        starts=known.starts if searches(model) else 0,
-        motion_noise=motion_evidence(model, False, False),
+        task=task,
+        horizon=horizon,
+        starts=starts if searches(model) else 0,
+        planner=planner,
+        motion_noise=motion_evidence(model, False),
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from operator import ne
 from typing import Any
 
+from contactgraph.data import Scene
 from contactgraph.envs import ExplorationPolicy
 from contactgraph.envs.contract import Policy, Task
 from contactgraph.envs.gripper_task import MAX_FORCE
@@ -54,6 +55,7 @@ class TestCondition:
         return (*distractors, *objects)
 
 
+_SERVOS = {"position", "displacement", "velocity"}
 AS_TRAINED = TestCondition("as-trained", "as trained", True)
 THREE_DISTRACTORS = TestCondition("3-distractors", "3 distractors", False, distractors=3)
 TaskFactory = Callable[[], Task]
@@ -75,11 +77,10 @@ class KnownTask:
     exploration: float = 0.0
     """Default share of recorded episodes by the explorer: more than 0 where the expert sees what
     its commands would otherwise tell a model, such as a hidden hold."""
-    horizon: int = 20
-    """Default planning horizon, steps."""
-    starts: int = 0
-    """Starts that plans are searched from by default; where what is touched is held, iLQR needs
-    none."""
+    horizon: int | None = None
+    """Default planning horizon, steps. None: see `planning`."""
+    starts: int | None = None
+    """Starts that plans are searched from by default. None: see `planning`."""
     max_force: float | None = MAX_FORCE
     """Bound of the control on each axis, N."""
     passive: bool = False
@@ -88,3 +89,31 @@ class KnownTask:
     """One line for the list of tasks and the title of a report."""
     conditions: tuple[TestCondition, ...] = (AS_TRAINED,)
     """Test conditions: the one in distribution first, the hardest last."""
+
+    @classmethod
+    def of_class(cls, task: type) -> "KnownTask":
+        """The task of a class; its attributes of these names are its fields.
+
+        What a class does not name has the defaults of this table; its ``expert`` explores, and its
+        ``demonstrator`` is the expert.
+        """
+        given = {
+            each.name: getattr(task, each.name) for each in fields(cls) if hasattr(task, each.name)
+        }
+        expert = given.setdefault("expert", ExplorationPolicy)
+        return cls(**{"demonstrator": expert, "max_force": None, **given, "make": task})
+
+    def planning(self, scene: Scene) -> tuple[int, int, str]:
+        """Horizon [steps] and starts of plans in a scene, and why.
+
+        What is not given follows from what is controlled: a servo, or a displacement, pushes and
+        cannot pull, so a plan is long and begins with a search for the side to push from. Forces
+        act on what is touched and held, where iLQR needs neither.
+        """
+        kinds = sorted(_SERVOS & set(scene.control_kind or ()))
+        reason = f"the control is a {kinds[0]}" if kinds else "the control is a force"
+        horizon = (30 if kinds else 20) if self.horizon is None else self.horizon
+        starts = (64 if kinds else 0) if self.starts is None else self.starts
+        if self.horizon is not None and self.starts is not None:
+            reason = "the task says so"
+        return horizon, starts, reason

@@ -14,7 +14,6 @@ from contactgraph.cli.known_tasks import TASKS
 from contactgraph.cli.options import choice, load_entry_point, load_object
 from contactgraph.cli.task_types import FLAGS, KnownTask, TaskFactory
 from contactgraph.data import Dataset, InvalidInputError, Trajectory
-from contactgraph.envs import ExplorationPolicy
 from contactgraph.envs.contract import Task
 from contactgraph.envs.planar.world import ENGINES, engine_name
 
@@ -41,20 +40,11 @@ def known_task(name: str) -> KnownTask:
 
 
 def _task_of_class(name: str) -> KnownTask:
-    """The task of a class; its attribute ``expert`` makes the policy that is recorded."""
+    """See `KnownTask.of_class`."""
     loaded = load_object("task", name)
     if not inspect.isclass(loaded):
         raise InvalidInputError(f"task {name}: must be a class, found {loaded!r}")
-    task_class: Any = loaded
-    expert = getattr(task_class, "expert", ExplorationPolicy)
-    return KnownTask(
-        task_class,
-        expert,
-        getattr(task_class, "demonstrator", expert),
-        getattr(task_class, "fixed_start", None),
-        horizon=getattr(task_class, "horizon", 20),
-        max_force=None,
-    )
+    return KnownTask.of_class(loaded)
 
 
 def task_factory(name: str, options: Mapping[str, Any]) -> TaskFactory:

@@ -34,20 +34,25 @@ from contactgraph.control.lqr_adjoint import LQRTrajectory as LQRTrajectory
 from contactgraph.control.lqr_adjoint import lqr_trajectory as lqr_trajectory
 from contactgraph.control.mpc import MPC as MPC
 from contactgraph.control.mpc import MPCState as MPCState
+from contactgraph.control.multi_start import MultiStartILQR as MultiStartILQR
+from contactgraph.control.multi_start import PlanningProblem as PlanningProblem
+from contactgraph.control.multi_start import Proposal as Proposal
+from contactgraph.control.multi_start import Starts as Starts
 from contactgraph.control.plan import Plan as Plan
 from contactgraph.control.plan import Planner as Planner
 from contactgraph.control.plan import PlanStatus as PlanStatus
 from contactgraph.control.plan import shift_plan as shift_plan
 from contactgraph.control.program_store import note_bindings
-from contactgraph.control.receding import RecedingILQR as RecedingILQR
+from contactgraph.control.proposals.approaches import Approaches as Approaches
+from contactgraph.control.proposals.approaches import searches as searches
+from contactgraph.control.proposals.routes import Routes as Routes
+from contactgraph.control.proposals.schedules import ChangingSchedules as ChangingSchedules
+from contactgraph.control.proposals.schedules import ConstantSchedule as ConstantSchedule
+from contactgraph.control.proposals.short_plans import ShortPlans as ShortPlans
 from contactgraph.control.riccati import LQRProblem as LQRProblem
-from contactgraph.control.routes import RouteILQR as RouteILQR
-from contactgraph.control.search import SearchILQR as SearchILQR
-from contactgraph.control.search import searches as searches
 from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
 from contactgraph.control.subproblem import InteractionCutoff as InteractionCutoff
 from contactgraph.control.subproblem import interaction_cutoff as interaction_cutoff
-from contactgraph.control.switching import SwitchingILQR as SwitchingILQR
 
 _TRACED = "data", "bodies", "inference", "dynamics", "model", "control"
 note_bindings(*(f"contactgraph.{each}" for each in _TRACED))

@@ -2,24 +2,19 @@
 
 A node is always active if the control acts on it, the cost depends on it, it is hinged (its body
 extends beyond the node), or it is fast enough to arrive from any distance. Other nodes become
-active if a trial rollout of a plan comes near them (`SweptBounds`).
+active if the plan comes near them (`SweptBounds`), and the plan is then made again.
 """
 
 import logging
-import time
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import jax
 import numpy as np
 
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.host import Motion, Observation
-from contactgraph.control.ilqr import ILQR
 from contactgraph.control.mpc import MPC
 from contactgraph.control.plan import Plan, PlanStatus
-from contactgraph.control.rollout import SweptBounds
 from contactgraph.control.subproblem import (
     ActiveBounds,
     ActiveSetState,
@@ -31,13 +26,7 @@ from contactgraph.control.subproblem import (
     required_nodes,
 )
 from contactgraph.data import InvalidInputError
-from contactgraph.model import (
-    ContactSensor,
-    MotionNoise,
-    Nodes,
-    StepModel,
-    default_sensor,
-)
+from contactgraph.model import Nodes
 
 _READY = 18
 """Active nodes that `reset` compiles for, where no limit is given."""
@@ -51,45 +40,31 @@ _log = logging.getLogger(__name__)
 
 
 class ActiveSetMPC:
-    """`MPC` in scenes of many nodes: the same answers, from a plan about the active nodes alone.
+    """An `MPC` in scenes of many nodes, with any planner: it plans about the active nodes alone.
 
     It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
-    are active. If the trials of a control step come near inactive nodes, these become active and
-    the step is repeated from its start, so the answer is that of `MPC`. Nodes leave four steps
-    after they may, with a limit one: the present step may already have run twice.
+    are active. If the plan of a control step comes near inactive nodes, these become active and
+    the step is repeated from its start: no plan passes through a body that it does not know of.
+    Nodes leave four steps after they may, with a limit one: the present step may already have run
+    twice.
 
     `reset` compiles for up to 18 active nodes. More of them recompile once for up to 54, 162, …
     nodes, which is logged. With ``max_active_nodes`` a step never compiles: one that would need
     more active nodes gives the previous plan, shifted, as CAPACITY_EXCEEDED.
     """
 
-    def __init__(
-        self,
-        model: StepModel,
-        ilqr: ILQR,
-        sensor: ContactSensor | None = None,
-        replan_every: int = 1,
-        deadline: float | None = None,
-        clock: Callable[[], float] = time.perf_counter,
-        motion_noise: MotionNoise | None = None,
-        max_active_nodes: int | None = None,
-    ) -> None:
-        """As `MPC`; ``max_active_nodes`` None: without a limit.
-
-        Raises `InvalidInputError` as `MPC` does, and for a limit below 1.
-        """
+    def __init__(self, mpc: MPC, max_active_nodes: int | None = None) -> None:
+        """``max_active_nodes`` None: without a limit; raises `InvalidInputError` below 1."""
         if max_active_nodes is not None and max_active_nodes < 1:
             raise InvalidInputError(
                 f"max_active_nodes must be at least 1, found {max_active_nodes}"
             )
-        sensor = default_sensor(model) if sensor is None else sensor
+        model, sensor = mpc.config.model, mpc.config.sensor
         # Sensor rates by edge are about the scene as a whole.
         by_edge = np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) > 0
         self._cutoff = None if by_edge else interaction_cutoff(model)
-        dt = None if self._cutoff is None else self._cutoff.dt
-        planner = replace(ilqr, swept_dt=dt)
-        self._mpc = MPC(model, planner, sensor, replan_every, deadline, clock, motion_noise)
-        self._ilqr, self._max = ilqr, max_active_nodes
+        self._mpc = mpc if self._cutoff is None else mpc.with_swept_bounds(self._cutoff.dt)
+        self._max = max_active_nodes
         self._largest = 0
         self._compiled: set[tuple] = set()
 
@@ -155,7 +130,7 @@ class ActiveSetMPC:
             after = self._mpc.advance(state, motion, contacts, applied, replan)
             if not known or self._cutoff is None:
                 return state, after, _NONE
-            after = self._with_observation(replace(after, last_motion=motion))
+            after = replace(after, last_motion=motion)
             if not len(state.inactive):
                 return state, after, _NONE
             bounds = self._bounds(after)
@@ -172,24 +147,10 @@ class ActiveSetMPC:
             state = self._with_active(state, np.concatenate([inside, near[:free]]))
 
     def _bounds(self, state: ActiveSetState) -> ActiveBounds:
-        assert self._cutoff is not None and state.plan.swept is not None
+        assert self._cutoff is not None and state.carry.swept is not None
         reaches = [each.reach for each in state.scene[1].contacts]
         cutoff = replace(self._cutoff, distance=max([self._cutoff.distance, *reaches]))
-        return ActiveBounds(state.plan.swept, state.node_ids, state.required, cutoff)
-
-    def _with_observation(self, state: ActiveSetState) -> ActiveSetState:
-        """Bounds of a reused plan also contain the observed positions."""
-        every = self._mpc.config.replan_every
-        if every == 1 or state.plan.outcome != PlanStatus.PLAN_REUSED:
-            return state
-        assert self._cutoff is not None and state.plan.swept is not None
-        position, velocity = (values[state.node_ids] for values in state.last_motion)
-        mask = state.node_ids[:, None] >= 0
-        position, velocity = np.where(mask, position, 0.0), np.where(mask, velocity, 0.0)
-        onward = position + self._cutoff.dt * velocity
-        swept = state.plan.swept.including([position, onward], state.nodes)
-        plan = replace(state.plan, swept=swept)
-        return replace(state, carry=replace(state.carry, plan=plan))
+        return ActiveBounds(state.carry.swept, state.node_ids, state.required, cutoff)
 
     def _shrunk(self, state: ActiveSetState) -> ActiveSetState:
         """About fewer nodes, where the last step's rollouts show that a smaller size is enough."""
@@ -231,13 +192,7 @@ class ActiveSetMPC:
 
     def _first(self, part: ActiveSetState) -> ActiveSetState:
         """The part before any control step."""
-        swept: Any = None
-        if self._cutoff is not None:
-            dimension = part.last_motion[0].shape[1]
-            shape = self._ilqr.iterations, self._ilqr.horizon, len(part.node_ids), dimension
-            nothing: Any = np.full(shape, np.inf, self._mpc.dtype)
-            swept = SweptBounds(nothing, -nothing)
-        first = self._mpc.first(part.nodes, part.cost, part.node_ids, part.last_motion, swept)
+        first = self._mpc.first(part.nodes, part.cost, part.node_ids, part.last_motion)
         return replace(part, carry=first.carry)
 
     def _compile(self, part: ActiveSetState) -> None:

@@ -1,6 +1,5 @@
 """Iterative LQR with a model that gives its own linearisation."""
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +19,7 @@ from contactgraph.control.lqr import (
 )
 from contactgraph.control.plan import Plan, PlanStatus
 from contactgraph.control.riccati import block_operator
-from contactgraph.control.rollout import Rollout, SweptBounds, roll_out
+from contactgraph.control.rollout import Rollout, roll_out
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model import ModelState, Nodes, StepModel
 
@@ -67,14 +66,6 @@ class ILQR(eqx.Module):
     """… plus this, in the cost's own unit."""
     step_sizes: tuple[float, ...] = eqx.field(static=True, default=(1.0, 0.5, 0.2))
     """Parts of the full step, tried in this order."""
-    leaps: bool | Bool[Array, ""] = False
-    """Whether the first trial is accepted whatever it costs: it may leave a local minimum, such as
-    to hover before a touch that costs first and pays later."""
-    fixed: tuple[int, ...] = eqx.field(static=True, default=())
-    """Components of the control that stay as they are guessed: those whose effect A and B do not
-    tell, such as the command that closes a gripper."""
-    swept_dt: float | None = eqx.field(static=True, default=None)
-    """Length of the model's step, s: plans then hold the swept bounds of all trials."""
 
     def __check_init__(self) -> None:
         for name, value in (("horizon", self.horizon), ("iterations", self.iterations)):
@@ -98,8 +89,28 @@ class ILQR(eqx.Module):
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
         quadratic, guess = self.prepared(model, state, cost, guess)
-        found = self.search(model, state, nodes, quadratic, guess, self.iterations)
+        begun = self.begun(model, state, nodes, quadratic, guess)
+        found = self.search(model, state, nodes, quadratic, begun, self.iterations)
         return self.plan_of(found, quadratic)
+
+    def begun(
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: QuadraticCost,
+        guess: AffinePolicy,
+        leap: bool | Bool[Array, ""] = False,
+    ) -> "Progress":
+        """A search before its first rollout, from a `prepared` guess.
+
+        ``leap``: whether its first trial is accepted whatever it costs.
+        """
+        ids = self._planned_nodes(state, cost)
+        trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
+        follow = eqx.filter_jit(roll_out)  # as in `search`, so that both are traced once
+        shape = eqx.filter_eval_shape(follow, model, state, nodes, trial, self.limits, ids)
+        return Progress.of(trial, shape, cost.R.dtype, jnp.asarray(leap))
 
     def search(
         self,
@@ -107,55 +118,37 @@ class ILQR(eqx.Module):
         state: ModelState,
         nodes: Nodes,
         cost: QuadraticCost,
-        begin: "AffinePolicy | Progress",
+        begin: "Progress",
         iterations: int,
     ) -> "Progress":
-        """What ``iterations`` rollouts in all find from a `prepared` guess, or from a search that
-        has made some of them."""
-        count, dimension = state.position.shape
-        ids = jnp.arange(count) if cost.cost_node_ids is None else cost.cost_node_ids
+        """What ``iterations`` rollouts in all find, of which a search may have made some."""
+        ids, dimension = self._planned_nodes(state, cost), state.position.shape[1]
         part, contacts = block_cost(cost, ids, dimension, self.horizon), cost.contacts
-        # Within `jax.jit` it is traced once, not for its shape and then again.
         follow = eqx.filter_jit(roll_out)
 
-        def advance(progress: Progress) -> Progress:
-            search, swept = progress
+        def advance(search: Progress) -> Progress:
             rollout = follow(model, state, nodes, search.trial, self.limits, ids)
-            costs = part.by_step(rollout.x, rollout.controls)
+            total = jnp.sum(part.by_step(rollout.x, rollout.controls))
             for each in contacts:
-                costs += each.by_step(rollout.states, rollout.beliefs)
-            if swept is not None and self.swept_dt is not None:
-                given_up = jnp.cumsum(costs[:-1]) > _SURELY * search.cost
-                swept = swept.with_rollout(
-                    search.iteration, model, state, rollout, ~given_up, nodes, self.swept_dt
-                )
-            about = part, ids, contacts
-            return self._judge(search, rollout, jnp.sum(costs), about), swept
+                total += jnp.sum(each.by_step(rollout.states, rollout.beliefs))
+            return self._judge(search, rollout, total, (part, ids, contacts))
 
-        def running(progress: Progress) -> Bool[Array, ""]:
-            search, _ = progress
+        def running(search: Progress) -> Bool[Array, ""]:
             return (search.status == _RUNNING) & (search.iteration < iterations)
 
-        if isinstance(begin, AffinePolicy):
-            trial = AffinePolicy(block_gains(begin.K, ids), begin.k)
-            shape = eqx.filter_eval_shape(follow, model, state, nodes, trial, self.limits, ids)
-            begin = _Search.of(trial, shape, part.R.dtype), None
-            if self.swept_dt is not None:
-                empty = SweptBounds.empty(self.iterations, self.horizon, state.position)
-                begin = begin[0], empty
         return jax.lax.while_loop(running, advance, begin)
 
     def _judge(
-        self, search: "_Search", rollout: Rollout, total: Float[Array, ""], about: PlannedCost
-    ) -> "_Search":
+        self, search: "Progress", rollout: Rollout, total: Float[Array, ""], about: PlannedCost
+    ) -> "Progress":
         """Accept or reject the trial's rollout of this cost, and choose the next trial."""
         total = jnp.where(rollout.finite(), total, jnp.inf)
         sizes = jnp.asarray(self.step_sizes, total.dtype)
         promised = _ARMIJO * sizes[search.attempt] * search.improvement.expected_decrease
         promised = jnp.maximum(promised, 0.0)
         most = search.cost - jnp.where(jnp.isfinite(search.cost), promised, 0.0)
-        most = jnp.where(self.leaps & (search.iteration == 1), jnp.inf, most)
-        accepted = total < most
+        leaps = search.leap & (search.iteration == 1)
+        accepted = total < jnp.where(leaps, jnp.inf, most)
         reference = jax.tree.map(
             lambda new, old: jnp.where(accepted, new, old), rollout, search.reference
         )
@@ -166,7 +159,7 @@ class ILQR(eqx.Module):
         attempt = jnp.where(exhausted, 0, attempt)
         damping = _adapted(search.damping, accepted, exhausted)
 
-        improvement = self._improve(reference, about, damping)
+        improvement = self.improved(reference, about, damping)
         enough = self.tolerance * jnp.abs(lowest) + self.absolute_tolerance
         # A damped step always predicts a small decrease, so only an undamped one can converge.
         # A decrease below 0 is that of a problem without a minimum.
@@ -182,7 +175,7 @@ class ILQR(eqx.Module):
         trial = _trial_policy(reference, improvement, sizes[attempt])
         # If the guess could not be rolled out, zero control is the second and last.
         trial = jax.tree.map(lambda value: jnp.where(nothing_rolls, 0.0, value), trial)
-        return _Search(
+        return Progress(
             reference=reference,
             cost=lowest,
             improvement=improvement,
@@ -191,22 +184,20 @@ class ILQR(eqx.Module):
             attempt=jnp.where(nothing_rolls, 0, attempt),
             iteration=search.iteration + 1,
             status=status.astype(jnp.int32),
+            leap=search.leap,
         )
 
-    def _improve(
+    def improved(
         self, reference: Rollout, about: PlannedCost, damping: Float[Array, ""]
     ) -> Improvement:
+        """A better policy around a rollout, by its linearisation."""
         problem = reference.problem(*about)
-        kept = jnp.zeros(problem.R.shape[-1]).at[jnp.array(self.fixed, int)].set(1.0)
-        cheapest = -jnp.einsum("tij,tj->ti", problem.R, kept * reference.controls)
-        problem = dataclasses.replace(problem, r=cheapest)  # where it is
         return improve_policy(
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )
 
-    def plan_of(self, progress: "Progress", cost: QuadraticCost) -> Plan:
+    def plan_of(self, search: "Progress", cost: QuadraticCost) -> Plan:
         """The best plan of a search."""
-        search, swept = progress
         reference = search.reference
         node_ids = jnp.arange(reference.position.shape[1], dtype=jnp.int32)
         known = jnp.isfinite(search.cost)
@@ -226,7 +217,6 @@ class ILQR(eqx.Module):
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
             iterations=search.iteration,
             node_ids=node_ids,
-            swept=swept,
         )
 
     def prepared(
@@ -248,13 +238,18 @@ class ILQR(eqx.Module):
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
         return quadratic, guess
 
+    @staticmethod
+    def _planned_nodes(state: ModelState, cost: QuadraticCost) -> Int[Array, " M"]:
+        every = jnp.arange(len(state.position))
+        return every if cost.cost_node_ids is None else cost.cost_node_ids
+
     def _idle(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
         """No force, or the nearest that the limits allow."""
         zero = jnp.zeros((self.horizon, control_size), dtype)
         return zero if self.limits is None else self.limits(zero).astype(dtype)
 
 
-class _Search(eqx.Module):
+class Progress(eqx.Module):
     """State of the search: the best rollout so far and the next trial."""
 
     reference: Rollout
@@ -268,9 +263,13 @@ class _Search(eqx.Module):
     """Index of the trial's step size."""
     iteration: Int[Array, ""]
     status: Int[Array, ""]
+    leap: Bool[Array, ""]
+    """Whether the first trial is accepted whatever it costs."""
 
     @classmethod
-    def of(cls, trial: AffinePolicy, reference: Any, dtype: Any) -> "_Search":
+    def of(
+        cls, trial: AffinePolicy, reference: Any, dtype: Any, leap: Bool[Array, ""]
+    ) -> "Progress":
         """Before any rollout; ``reference`` has its shapes."""
         zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
         return cls(
@@ -282,11 +281,8 @@ class _Search(eqx.Module):
             attempt=none,
             iteration=none,
             status=none + _RUNNING,
+            leap=leap,
         )
-
-
-Progress = tuple[_Search, SweptBounds | None]
-"""Of a search for a plan, and the bounds of its rollouts where they are recorded."""
 
 
 def _adapted(

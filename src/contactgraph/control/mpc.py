@@ -1,5 +1,6 @@
 """Model predictive control through contact: one compiled call a control step."""
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,7 +20,6 @@ from contactgraph.control.host import (
 )
 from contactgraph.control.mpc_step import MPCCarry, MPCConfig, jit_step
 from contactgraph.control.plan import Plan, Planner, PlanStatus
-from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import InvalidInputError
 from contactgraph.data.turns import near_turn
 from contactgraph.model import (
@@ -133,6 +133,16 @@ class MPC:
         self.config = MPCConfig(model, planner, sensor, motion_noise, replan_every)
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
         self.deadline, self.clock = deadline, clock
+        self._compile()
+
+    def with_swept_bounds(self, dt: float) -> "MPC":
+        """The same, whose states hold the bounds of their plans; ``dt`` [s] is the model's step."""
+        same = copy.copy(self)
+        same.config = replace(self.config, swept_dt=dt)
+        same._compile()
+        return same
+
+    def _compile(self) -> None:
         self._first = jit_step(MPCConfig.first_carry, self.config)
         self._step = jit_step(MPCConfig.step, self.config, like=2)
         self._previous = jit_step(MPCConfig.previous_plan, self.config)
@@ -235,16 +245,11 @@ class MPC:
         return motion
 
     def first(
-        self,
-        nodes: Nodes,
-        cost: QuadraticCost,
-        node_ids: np.ndarray,
-        motion: Motion,
-        swept: SweptBounds | None = None,
+        self, nodes: Nodes, cost: QuadraticCost, node_ids: np.ndarray, motion: Motion
     ) -> MPCState:
         """The state before any control step; ``motion`` is of all nodes of the scene."""
         moved = motion[0][node_ids], motion[1][node_ids]
-        carry = self._first(nodes, cost, *moved, node_ids.astype(np.int32), swept)
+        carry = self._first(nodes, cost, *moved, node_ids.astype(np.int32))
         return MPCState(nodes, cost, node_ids, carry)
 
     def advance(

@@ -37,6 +37,8 @@ class MPCCarry(eqx.Module):
     steps_since_plan: Int[Array, ""]
     is_first: Bool[Array, ""]
     """True until the first step, whose plan starts at its own observation, not before."""
+    swept: SweptBounds | None = None
+    """Of the plan; None where they are not asked for."""
 
 
 class MPCConfig(eqx.Module):
@@ -49,6 +51,8 @@ class MPCConfig(eqx.Module):
     """None: motion does not correct beliefs."""
     replan_every: int = eqx.field(static=True)
     """Control steps from plan to plan; in between the last plan's feedback acts."""
+    swept_dt: float | None = eqx.field(static=True, default=None)
+    """Length of the model's step, s, where the bounds of a plan are asked for."""
 
     def first_carry(
         self,
@@ -57,7 +61,6 @@ class MPCConfig(eqx.Module):
         position: Float[Array, "N D"],
         velocity: Float[Array, "N D"],
         node_ids: Int[Array, " N"],
-        swept: SweptBounds | None,
     ) -> MPCCarry:
         """Before any control step: the model's first belief, and a plan without forces."""
         H, U, state = self.planner.horizon, cost.control_size, (len(position), 2, position.shape[1])
@@ -72,13 +75,13 @@ class MPCConfig(eqx.Module):
             status=jnp.asarray(PlanStatus.NOT_FINITE, jnp.int32),
             iterations=jnp.zeros((), jnp.int32),
             node_ids=node_ids,
-            swept=swept,
         )
         return MPCCarry(
             filter=first,
             plan=plan,
             steps_since_plan=jnp.asarray(self.replan_every, jnp.int32),
             is_first=jnp.ones((), bool),
+            swept=self._swept(first.before, plan, nodes),
         )
 
     def step(
@@ -120,8 +123,7 @@ class MPCConfig(eqx.Module):
             )
         failed = plan.status == PlanStatus.NOT_FINITE
         plan = replace(plan, node_ids=previous.node_ids)
-        kept = replace(previous.with_status(PlanStatus.NOT_FINITE), swept=plan.swept)
-        plan = _where(failed, kept, plan)
+        plan = _where(failed, previous.with_status(PlanStatus.NOT_FINITE), plan)
         plan = _where(usable, plan, previous.with_status(PlanStatus.BAD_OBSERVATION))
         solved = plan.status <= PlanStatus.NO_DESCENT
         predicted = jax.tree.map(lambda value: value[0], plan.beliefs)
@@ -130,7 +132,14 @@ class MPCConfig(eqx.Module):
             plan=plan,
             steps_since_plan=jnp.where(solved, 1, carry.steps_since_plan + 1),
             is_first=jnp.zeros((), bool),
+            swept=self._swept(now, plan, nodes),
         )
+
+    def _swept(self, begin: ModelState, plan: Plan, nodes: Nodes) -> SweptBounds | None:
+        if self.swept_dt is None:
+            return None
+        predicted = plan.states, plan.controls, plan.beliefs
+        return SweptBounds.of(self.model, begin, *predicted, nodes, self.swept_dt)
 
     def previous_plan(self, carry: MPCCarry, status: Int[Array, ""] | None = None) -> Plan:
         """The last plan from the present on; under ``status``, where one is given."""

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.rollout import SweptBounds
 from contactgraph.model import ContactBelief, ModelState, Nodes, StepModel
 
 
@@ -72,8 +71,6 @@ class Plan(eqx.Module):
     """Rollouts of the model that the plan took."""
     node_ids: Int[Array, " N"]
     """The scene's nodes that the plan is about, in their order; -1 for padding."""
-    swept: SweptBounds | None = None
-    """Bounds of all trial rollouts, where the planner records them."""
 
     def __repr__(self) -> str:
         sizes = f"states{list(np.shape(self.states))}, controls{list(np.shape(self.controls))}"
@@ -94,7 +91,7 @@ class Plan(eqx.Module):
 class Planner(Protocol):
     """The interface that `MPC` asks of a planner, a pytree such as an `equinox.Module`.
 
-    `ILQR` is one; ``examples/extend_planner_mppi.py`` writes another.
+    `ILQR` is one; ``examples/extend_planner_mppi.py`` has another.
     """
 
     @property

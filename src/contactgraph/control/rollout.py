@@ -1,13 +1,11 @@
 """Rollouts of a policy through a model, with the linearisation and bounds of the motion."""
 
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.contact_cost import ContactCost
@@ -95,77 +93,46 @@ def roll_out(
 
 
 class SweptBounds(eqx.Module):
-    """Boxes around all positions of a node in a step of a rollout, one each of ``R`` rollouts.
+    """Boxes around all positions of a node in each step of a plan.
 
     They contain the positions that `contactgraph.bodies.geometry` uses: the start of the step, its
     end without contact, and its predicted end. The box of a hinged body contains the whole bar.
     """
 
-    lower: Float[Array, "R H N D"]
+    lower: Float[Array, "H N D"]
     """m"""
-    upper: Float[Array, "R H N D"]
+    upper: Float[Array, "H N D"]
     """m"""
 
     @classmethod
-    def empty(cls, rollouts: int, horizon: int, like: Float[Array, "N D"]) -> "SweptBounds":
-        """Boxes that contain nothing yet."""
-        nothing = jnp.full((rollouts, horizon, *like.shape), jnp.inf, like.dtype)
-        return cls(nothing, -nothing)
-
-    def united(self) -> "SweptBounds":
-        """Around those of several searches, a leading axis, rollout by rollout."""
-        return SweptBounds(jnp.min(self.lower, axis=0), jnp.max(self.upper, axis=0))
-
-    def with_rollout(
-        self,
-        index: Int[Array, ""],
+    def of(
+        cls,
         model: StepModel,
         begin: ModelState,
-        rollout: Rollout,
-        counts: Bool[Array, " H"],
+        states: Float[Array, "H+1 N 2 D"],
+        controls: Float[Array, "H U"],
+        beliefs: ContactBelief,
         nodes: Nodes,
         dt: float,
     ) -> "SweptBounds":
-        """With the rollout of this index from ``begin``, in steps of ``dt`` [s] that count."""
-        position, velocity = rollout.position[:-1], rollout.velocity[:-1]
+        """Of a plan's states [m, m/s], controls [N] and beliefs from ``begin`` on, in steps of
+        ``dt`` [s]."""
+        position, velocity = states[:-1, :, 0], states[:-1, :, 1]
         belief = jax.tree.map(
-            lambda first, later: jnp.concatenate([first[None], later[:-1]]),
-            begin.belief,
-            rollout.beliefs,
+            lambda first, later: jnp.concatenate([first[None], later[:-1]]), begin.belief, beliefs
         )
         driven = jax.vmap(partial(control_displacement, model), in_axes=(0, 0, None))(
-            ModelState(position, velocity, belief), rollout.controls, nodes
+            ModelState(position, velocity, belief), controls, nodes
         )
         # A parabola lies within its ends and the point where its tangents meet.
         middle = position + 0.5 * dt * velocity
         unhindered = position + dt * velocity + driven
-        lower, upper = _boxes([position, middle, unhindered, rollout.position[1:]], nodes)
-        counts = counts[:, None, None]
-        lower, upper = jnp.where(counts, lower, jnp.inf), jnp.where(counts, upper, -jnp.inf)
-        return SweptBounds(
-            self.lower.at[index].set(lower.astype(self.lower.dtype)),
-            self.upper.at[index].set(upper.astype(self.upper.dtype)),
-        )
-
-    def including(self, positions: list[np.ndarray], nodes: Nodes) -> "SweptBounds":
-        """With these positions [N, D] m in all boxes, on the host."""
-        lower, upper = _boxes(positions, nodes, np)
-        return SweptBounds(
-            np.minimum(self.lower, lower).astype(self.lower.dtype),
-            np.maximum(self.upper, upper).astype(self.upper.dtype),
-        )
-
-
-def _boxes(positions: list[Any], nodes: Nodes, xp: Any = jnp) -> tuple[Any, Any]:
-    """Bounds [*H, N, D] of those positions [*H, N, D] m that are finite; ``xp``: jnp or np."""
-    if nodes.anchor is not None:
-        anchor = xp.nan_to_num(xp.asarray(nodes.anchor))
-        hinged = xp.asarray(nodes.hinged)[:, None]
-        positions = [
-            *[xp.where(hinged, 2.0 * position - anchor, position) for position in positions],
-            xp.where(hinged, anchor, positions[0]),
-        ]
-    stacked = xp.stack(positions)
-    known = xp.isfinite(stacked)
-    lower = xp.min(xp.where(known, stacked, xp.inf), axis=0)
-    return lower, xp.max(xp.where(known, stacked, -xp.inf), axis=0)
+        positions = [position, middle, unhindered, states[1:, :, 0]]
+        if nodes.anchor is not None:
+            anchor, hinged = jnp.nan_to_num(nodes.anchor), nodes.hinged[:, None]
+            ends = [jnp.where(hinged, 2.0 * each - anchor, each) for each in positions]
+            positions = [*ends, jnp.where(hinged, anchor, positions[0])]
+        stacked = jnp.stack(positions)
+        known = jnp.isfinite(stacked)
+        lower = jnp.min(jnp.where(known, stacked, jnp.inf), axis=0)
+        return cls(lower, jnp.max(jnp.where(known, stacked, -jnp.inf), axis=0))

@@ -1,9 +1,8 @@
 """The active nodes of a plan, their subproblem, and the state that one passes to the next.
 
-A node that no moving node approaches in any rollout stays at rest and does not affect the plan. A
-rejected rollout counts only up to the step at which its cost exceeds the best one's, since later
-steps cannot change the rejection. Nodes outside a plan are not predicted. Their travel is bounded
-by that of the fastest of them, because the ground slows them down and only they touch each other.
+A node that no moving node approaches in a plan stays at rest and does not affect it. Nodes outside
+a plan are not predicted. Their travel is bounded by that of the fastest of them, because the ground
+slows them down and only they touch each other.
 
 Everything runs on the host, in NumPy.
 """
@@ -28,7 +27,7 @@ _HARDLY_MORE = 1.5
 _SMALL = 4
 """Largest number of nodes of a scene that is planned as a whole."""
 _STILL = 0.005
-"""Part of the cutoff: a node that moves by less in every rollout has not been struck."""
+"""Part of the cutoff: a node that moves by less in a plan has not been struck."""
 _SLACK = 0.05
 """Part of the cutoff, added to it: springs and controls hardly move nodes without a contact."""
 _LEAVES = 0.5
@@ -173,14 +172,12 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
     last = known.before
     position, velocity = (values[new.node_ids] for values in new.last_motion)
     motion = np.stack([position, velocity], axis=1)
-    assert plan.swept is not None
     moved = replace(
         plan,
         states=nodes(plan.states, motion, -3),
         policy=replace(plan.policy, K=nodes(plan.policy.K, np.zeros_like(motion), -3)),
         beliefs=belief(plan.beliefs, fresh),
         node_ids=new.plan.node_ids,
-        swept=SweptBounds(nodes(plan.swept.lower, position), nodes(plan.swept.upper, position)),
     )
     known = FilterState(
         before=ModelState(
@@ -195,7 +192,16 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
             *(known.masses, new.carry.filter.masses),
         ),
     )
-    return replace(new, carry=replace(carry, filter=known, plan=moved))
+    return replace(
+        new,
+        carry=replace(
+            new.carry,
+            filter=known,
+            plan=moved,
+            is_first=carry.is_first,
+            steps_since_plan=carry.steps_since_plan,
+        ),
+    )
 
 
 def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
@@ -279,22 +285,22 @@ class ActiveBounds:
         """
         position, speed = motion[0][others], _norm(motion[1][others])
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
-        horizon = lower.shape[1]
+        horizon = len(lower)
         fast = self._is_fast(speed)
         radius = cutoffs * (1.0 + _SLACK) * self.cutoff.distance
         drift = self.cutoff.dt * np.max(speed, where=~fast, initial=0.0)
         # Most nodes are far from everything: one box around all bounds excludes them.
         margin = radius + drift * horizon
-        low, high = lower.min(axis=(0, 1, 2)) - margin, upper.max(axis=(0, 1, 2)) + margin
+        low, high = lower.min(axis=(0, 1)) - margin, upper.max(axis=(0, 1)) + margin
         near = np.all((position > low) & (position < high), axis=1) & ~fast
         if not near.any():
             return others[fast]
         movers = np.flatnonzero(self._movers())
-        point = position[near, None, None, None]
-        outside = np.maximum(lower[..., movers, :] - point, point - upper[..., movers, :])
+        point = position[near, None, None]
+        outside = np.maximum(lower[:, movers] - point, point - upper[:, movers])
         radii = radius + drift * np.arange(1, horizon + 1)[:, None]
         margins = np.full(len(others), np.inf)
-        margins[near] = np.min(_norm(np.maximum(outside, 0.0)) - radii, axis=(1, 2, 3))
+        margins[near] = np.min(_norm(np.maximum(outside, 0.0)) - radii, axis=(1, 2))
         margins[fast] = -np.inf
         added = np.flatnonzero(margins < 0.0)
         return others[added[np.argsort(margins[added], kind="stable")]]
@@ -302,9 +308,9 @@ class ActiveBounds:
     def nodes_to_keep(self, motion: Motion) -> np.ndarray:
         """Those of the active nodes that a moving one came near; ``motion`` is of all nodes."""
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
-        one_sided = lower[..., :, None, :] - upper[..., None, :, :]
-        gap = np.maximum(np.maximum(one_sided, np.swapaxes(one_sided, -3, -2)), 0.0)
-        near = np.any(_norm(gap) < (1.0 + _LEAVES) * self.cutoff.distance, axis=(0, 1))
+        one_sided = lower[:, :, None] - upper[:, None]
+        gap = np.maximum(np.maximum(one_sided, np.swapaxes(one_sided, 1, 2)), 0.0)
+        near = np.any(_norm(gap) < (1.0 + _LEAVES) * self.cutoff.distance, axis=0)
         movers, exists = self._movers(), self.node_ids >= 0
         kept = (self.required | self._is_fast(_norm(motion[1][self.node_ids]))) & exists
         for _ in self.node_ids:
@@ -312,15 +318,15 @@ class ActiveBounds:
         return self.node_ids[kept]
 
     def _movers(self) -> np.ndarray:
-        """[n] All but the nodes that are active for being near, and at rest in every rollout."""
+        """[n] All but the nodes that are active for being near, and at rest in the plan."""
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
-        extent = upper.max(axis=(0, 1)) - lower.min(axis=(0, 1))
+        extent = upper.max(axis=0) - lower.min(axis=0)
         moves = np.max(extent, axis=-1) > _STILL * self.cutoff.distance
         return (moves | self.required) & (self.node_ids >= 0)
 
     def _is_fast(self, speed: np.ndarray) -> np.ndarray:
         """Whether nodes of such a speed, m/s, travel farther in a plan than the cutoff."""
-        horizon = np.asarray(self.swept.lower).shape[1]
+        horizon = len(np.asarray(self.swept.lower))
         return speed * self.cutoff.dt * horizon > self.cutoff.distance
 
 

@@ -163,7 +163,7 @@ class ChainCost:
     terminal_weight: float = 1.0
     """Factor on the cost of the last state of a plan: where only the end counts."""
     switching_cost: float = 0.0
-    """Added each time that a plan switches a command on: against chattering."""
+    """Added each time that a plan changes a command: against chattering."""
     goal_angle: float | None = None
     """rad; of the last node at the goal, any turns of 2 pi from it. None: any angle."""
     angle_weight: float = 0.0

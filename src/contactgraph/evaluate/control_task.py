@@ -1,234 +1,238 @@
-"""Controllers in closed loop with a task: a model under MPC, or a scripted policy."""
+"""Policies in closed loop with a task: a model under MPC, a script, or one of your own."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, cast
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
-import gymnasium
-import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import (
-    ILQR,
-    ActiveSetMPC,
-    ControlLimits,
-    RecedingILQR,
-    RouteILQR,
-    SearchILQR,
-    SwitchingILQR,
-)
-from contactgraph.data import InvalidInputError, Scene, Trajectory
-from contactgraph.envs.contract import Observation, Policy, Task
+from contactgraph.data import InvalidInputError, Trajectory
+from contactgraph.envs.contract import Policy, Task
 from contactgraph.envs.episodes import episode_seeds, run_episode
-from contactgraph.evaluate.avoiding_cost import AvoidingCost
-from contactgraph.evaluate.closed_loop import ClosedLoopMetrics, closed_loop_metrics
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
-from contactgraph.evaluate.mpc_policy import MPCPolicy
-from contactgraph.evaluate.plan_tracking import (
-    EpisodeRecord,
-    PlanTrackingError,
-    plan_tracking_error,
-)
-from contactgraph.evaluate.sensor_faults import ObservationNoise, SensorFaults
-from contactgraph.evaluate.task_cost import SceneCost, TaskCost
-from contactgraph.model import (
-    ContactSensor,
-    MotionNoise,
-    StepModel,
-    default_sensor,
-    turn_length_of,
-)
-from contactgraph.model.scene import check_fit
+from contactgraph.evaluate.plan_tracking import PlanTrackingError, plan_tracking_error
+from contactgraph.evaluate.statistics import wilson_interval
+from contactgraph.policies.episode_record import EpisodeRecord, RecordingPolicy
 
-_EXACT = SensorFaults()
-_NOISELESS = ObservationNoise()
-_LEAP_ROLLOUTS = 3
-"""More rollouts for a plan with switches: a schedule that leaps pays after seven or eight only."""
+_NO_TRACKING = PlanTrackingError()
+_NO_ESTIMATES = EstimatedContacts()
+_START_UP_S = 0.25
+"""Time in which a gripper that starts at rest gains speed."""
+
+EpisodeMetric = Callable[[Trajectory], float | None]
+"""A metric of one's own: a number of an executed episode, None where it is not known."""
+
+
+@dataclass(frozen=True)
+class ClosedLoopMetrics:
+    """The results of `closed_loop_metrics`; the names are the keys of `to_json`.
+
+    Speeds are those of the gripper, the first node of the task's chain, over the episodes in
+    which it touches the chain's next node. None: no episode determines a number.
+    """
+
+    episodes: int
+    seed: int
+    """Seed of the sequence of the episodes' seeds."""
+    scenes: int
+    """Distinct scenes among the episodes."""
+    success_rate: float
+    success_interval: tuple[float, float]
+    """95 %, Wilson, over distinct scenes."""
+    success_by_episode: tuple[bool, ...]
+    goal_distance_m_median: float | None
+    """From the chain's last node to the goal at the end of an episode, m."""
+    goal_distance_m_mean: float | None
+    contact_speed_m_s: float | None
+    """Median speed in the last state before the first contact, m/s."""
+    slowest_before_contact_min_m_s: float | None
+    """The lowest speed of any episode from 0.25 s on to contact ("never stopping")."""
+    touches_mean: float | None
+    """Mean number of times in an episode that the gripper begins to touch the chain's next node."""
+    touched_bystanders: int | None
+    """Episodes in which a node of the chain touched a node outside it."""
+    plan_ms_p50: float | None
+    """Median time of a control step (correct, plan, return), ms."""
+    plan_ms_p99: float | None
+    planned: PlanTrackingError = field(default_factory=PlanTrackingError)
+    """Planned against executed motion; its keys are beside the others in `to_json`."""
+    estimated: EstimatedContacts = field(default_factory=EstimatedContacts)
+    """Beliefs against true contacts; as above."""
+
+    def to_json(self) -> dict[str, float | int | list[float | None] | None]:
+        """All numbers by name."""
+        numbers = {each.name: getattr(self, each.name) for each in fields(self)}
+        del numbers["planned"], numbers["estimated"]
+        lists = {name: list(each) for name, each in numbers.items() if isinstance(each, tuple)}
+        return {**numbers, **lists, **self.planned.to_json(), **self.estimated.to_json()}
+
+
+@dataclass(frozen=True)
+class ControlResult:
+    """The episodes of a policy, and what is measured on them."""
+
+    trajectories: Sequence[Trajectory]
+    metrics: ClosedLoopMetrics
+    by_episode: Mapping[str, Sequence[float | None]]
+    """Further metrics by name, for each episode."""
+
+    def to_json(self) -> dict[str, Any]:
+        """All numbers by name; of a further metric the mean of what is known, and the list."""
+        found: dict[str, Any] = {}
+        for name, values in self.by_episode.items():
+            known = [value for value in values if value is not None]
+            found[name] = float(np.mean(known)) if known else None
+            found[f"{name}_by_episode"] = list(values)
+        return {**self.metrics.to_json(), **found}
 
 
 def control_task(
-    model: StepModel,
-    task_factory: Callable[[], Task],
+    policy: Policy,
+    task: Task,
     episodes: int,
     seed: int,
     *,
-    on_episode: Callable[[Trajectory, EpisodeRecord], None] | None = None,
-    **options: Any,
-) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
-    """Runs ``episodes`` episodes under `MPC` with this model, and measures them.
+    metrics: Mapping[str, EpisodeMetric] | None = None,
+    on_episode: Callable[[Trajectory, EpisodeRecord | None], None] | None = None,
+) -> ControlResult:
+    """Runs ``episodes`` episodes under a policy, and measures them.
 
-    ``options`` are those of `mpc_policy`. Episode ``i`` has the seed `collect` would give it. An
-    episode that the task ends early is a failure unless the task calls it a success. ``on_episode``
-    is called after each episode with the trajectory and the controller's record.
+    Episode ``i`` has the seed `collect` would give it. An episode that the task ends early is a
+    failure unless the task calls it a success. Of a `RecordingPolicy`, such as that of
+    `contactgraph.policies.task_policy`, times of control steps, plans and estimates of contacts are
+    measured, too. ``metrics``: further ones by name. ``on_episode`` is called after each episode,
+    with the record of such a policy.
 
-    Raises `InvalidInputError` as `mpc_policy`, and where a number is out of range.
+    Raises `InvalidInputError` where the task takes no control, a number is out of range, or a
+    metric has the name of a built-in one.
     """
     seeds = episode_seeds(episodes, seed)
-    task, observation = _first_scene(task_factory, seeds[0])
-    policy = mpc_policy(model, task, observation, **options)
-    plan_ms: list[np.ndarray] = []
+    if not np.size(task.action_space.low):
+        raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
+    trajectories: list[Trajectory] = []
+    succeeded, chains, plan_ms = [], [], [np.zeros(0)]
     planned, estimated = PlanTrackingError(), EstimatedContacts()
-
-    def judge(trajectory: Trajectory) -> None:
-        nonlocal planned, estimated
-        record, holding = policy.record(), trajectory.holding
-        plan_ms.append(record.plan_ms)
-        # Contacts as the policy's sensor reports them: see `MPCPolicy`.
-        labelled = trajectory if holding is None else replace(trajectory, contact=holding)
-        planned += plan_tracking_error(labelled, record)
-        estimated += estimated_contacts(trajectory, record.estimated)
+    for each in seeds:
+        trajectory = run_episode(task, policy, each)
+        trajectories.append(trajectory)
+        succeeded.append(task.success())
+        end, goal = trajectory.position[-1], np.asarray(task.scene.goal)
+        chains.append(task.cost_terms().ending_nearest(end, goal))
+        record = policy.record() if isinstance(policy, RecordingPolicy) else None
+        if record is not None:
+            plan_ms.append(record.plan_ms)
+            # Contacts as the policy's sensor reports them: see `MPCPolicy`.
+            holding = trajectory.holding
+            labelled = trajectory if holding is None else replace(trajectory, contact=holding)
+            planned += plan_tracking_error(labelled, record)
+            estimated += estimated_contacts(trajectory, record.estimated)
         if on_episode is not None:
             on_episode(trajectory, record)
-
-    done = _run(policy, task, seeds, judge)
-    times = np.concatenate(plan_ms)
-    return closed_loop_metrics(*done, seed, times, planned, estimated, seeds), done[0]
-
-
-def switches_of(scene: Scene) -> tuple[int, ...]:
-    """The components of the control that are switches."""
-    return tuple(each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch")
+    done = trajectories, succeeded, chains, seed, np.concatenate(plan_ms)
+    found = closed_loop_metrics(*done, planned, estimated, seeds)
+    taken = sorted(found.to_json().keys() & (metrics or {}).keys())
+    if taken:
+        raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
+    more = {name: [of(each) for each in trajectories] for name, of in (metrics or {}).items()}
+    return ControlResult(trajectories, found, more)
 
 
-def mpc_policy(
-    model: StepModel,
-    task: Task,
-    observation: Observation,
-    *,
-    cost: SceneCost | None = None,
-    horizon: int = 20,
-    iterations: int = 5,
-    starts: int = 0,
-    routes: int = 0,
-    segment: int = 0,
-    clearance: float | None = None,
-    replan_every: int = 1,
-    deadline: float | None = None,
-    sensor: ContactSensor | None = None,
-    faults: SensorFaults = _EXACT,
-    measured: bool = True,
-    noise: ObservationNoise = _NOISELESS,
-    motion_noise: MotionNoise | None = None,
-    node_capacity: int = 0,
-) -> MPCPolicy:
-    """The controller of `control_task`, for a task whose reset gave ``observation``.
-
-    ``cost`` None is the task's own; the limits of each component of the control are those of the
-    task's action space. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s and `MPC`'s,
-    ``starts`` is `SearchILQR`'s, ``routes`` `RouteILQR`'s and ``segment`` `RecedingILQR`'s (0:
-    none). ``clearance`` [m] adds an `AvoidingCost` with this gap to bodies that the task does not
-    name. ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s.
-
-    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
-    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
-    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
-    ``motion_noise`` is `MPC`'s; ``noise`` is added to the observed motion.
-
-    Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
-    control, a number is out of range, or there are more than one of switches, ``starts``,
-    ``routes`` and ``segment``.
-    """
-    limits = _limits(task)
-    control_size = len(limits.lower)
-    check_fit(model, task.scene, control_size, "the task")
-    terms = task.cost_terms()
-    if sensor is None:
-        sensor = default_sensor(model) if faults.exact else faults.sensor
-    switches = switches_of(task.scene)
-    if sum(map(bool, (starts, routes, segment, switches))) > 1:
-        raise InvalidInputError(
-            "a plan has one of starts, routes, a segment and a task's switches, found "
-            f"starts {starts}, routes {routes}, segment {segment} and switches {list(switches)}"
-        )
-    ilqr = ILQR(horizon=horizon, iterations=iterations, limits=limits)
-    if starts:
-        ilqr = SearchILQR(
-            horizon,
-            iterations,
-            limits,
-            starts=starts,
-            switching_cost=terms.switching_cost,
-        )
-    elif routes:
-        speed = getattr(getattr(model, "features", None), "speed", 1.0)
-        ilqr = RouteILQR(horizon, iterations, limits, routes=routes, speed=speed)
-    elif segment:
-        stride = next(each for each in (5, 4, 3, 2, 1) if horizon % each == 0 and each <= segment)
-        ilqr = RecedingILQR(horizon, iterations, limits, segment=segment, stride=stride)
-    elif switches:
-        ilqr = SwitchingILQR(
-            horizon,
-            iterations + _LEAP_ROLLOUTS,
-            limits,
-            switches=switches,
-            switching_cost=terms.switching_cost,
-        )
-    mpc = ActiveSetMPC(
-        model,
-        ilqr,
-        replace(sensor, reports_touch="holding" not in observation),
-        replan_every,
-        deadline,
-        motion_noise=motion_noise,
-    )
-    turns = turn_length_of(model) is not None
-    own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
-    scene_cost, candidates = (own_cost, terms.candidates) if cost is None else (cost, ())
-    if clearance is not None:
-        scene_cost = AvoidingCost(scene_cost, clearance, candidates=candidates)
-    size = scene_cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
-    if size != control_size:  # before compilation
-        raise InvalidInputError(
-            f"the cost is for control size U {size}, but the task has {control_size}; they must "
-            "agree"
-        )
-    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, candidates)
-
-
-def control_by_policy(
-    policy: Policy,
-    task_factory: Callable[[], Task],
-    episodes: int,
+def closed_loop_metrics(
+    trajectories: Sequence[Trajectory],
+    succeeded: Sequence[bool],
+    chains: Sequence[Sequence[int]],
     seed: int,
-    on_episode: Callable[[Trajectory], None] | None = None,
-) -> tuple[ClosedLoopMetrics, list[Trajectory]]:
-    """Runs a policy that neither predicts nor plans in the scenes of `control_task`.
+    plan_ms: Sequence[float] | np.ndarray = (),
+    planned: PlanTrackingError = _NO_TRACKING,
+    estimated: EstimatedContacts = _NO_ESTIMATES,
+    scene_seeds: Sequence[int] | None = None,
+) -> ClosedLoopMetrics:
+    """Metrics of executed episodes.
 
-    It is the baseline beside a model's success. Times of control steps, plans and estimates are
-    not measured. Raises `InvalidInputError` where the task takes no control, or a number is out of
-    range.
+    ``succeeded``: the task's own result for each. ``chains``: of each episode the task's nodes in
+    order, gripper first. ``plan_ms``: the times of all control steps of all episodes, ms; none: not
+    measured. ``planned`` and ``estimated``: the sums of the episodes' `plan_tracking_error` and
+    `estimated_contacts`; none: not measured. ``scene_seeds``: one for each episode, equal in equal
+    scenes; None: no scene is repeated.
     """
-    seeds = episode_seeds(episodes, seed)
-    task, _ = _first_scene(task_factory, seeds[0])
-    done = _run(policy, task, seeds, on_episode or (lambda trajectory: None))
-    return closed_loop_metrics(*done, seed, scene_seeds=seeds), done[0]
+    episodes = list(zip(trajectories, chains, strict=True))
+    numbers = range(len(trajectories)) if scene_seeds is None else scene_seeds
+    distances = [found for each in episodes if (found := goal_distance(*each)) is not None]
+    approaches = [one for each in episodes if (one := approach(*each)) is not None]
+    slowest = [each for _, each in approaches if each is not None]
+    touched = [_touched_distractor(*each) for each in episodes]
+    touches = [found for each in episodes if (found := _touches(*each)) is not None]
+    times = np.asarray(plan_ms, dtype=np.float64)
+    return ClosedLoopMetrics(
+        episodes=len(trajectories),
+        seed=seed,
+        scenes=len(set(numbers)),
+        success_rate=sum(bool(each) for each in succeeded) / len(trajectories),
+        success_interval=_success_interval(succeeded, numbers),
+        success_by_episode=tuple(bool(each) for each in succeeded),
+        goal_distance_m_median=_median(distances),
+        goal_distance_m_mean=float(np.mean(distances)) if distances else None,
+        contact_speed_m_s=_median([each for each, _ in approaches]),
+        slowest_before_contact_min_m_s=min(slowest, default=None),
+        touches_mean=float(np.mean(touches)) if touches else None,
+        touched_bystanders=None if None in touched else sum(bool(each) for each in touched),
+        plan_ms_p50=float(np.percentile(times, 50)) if times.size else None,
+        plan_ms_p99=float(np.percentile(times, 99)) if times.size else None,
+        planned=planned,
+        estimated=estimated,
+    )
 
 
-def _run(
-    policy: Policy, task: Task, seeds: Sequence[int], after: Callable[[Trajectory], None]
-) -> tuple[list[Trajectory], list[bool], list[tuple[int, ...]]]:
-    """An episode for each seed: what happened, whether it succeeded, and the chain of its cost."""
-    trajectories, succeeded, chains = [], [], []
-    for seed in seeds:
-        trajectories.append(run_episode(task, policy, seed))
-        succeeded.append(task.success())
-        end, goal = trajectories[-1].position[-1], np.asarray(task.scene.goal)
-        chains.append(task.cost_terms().ending_nearest(end, goal))
-        after(trajectories[-1])
-    return trajectories, succeeded, chains
+def _touches(trajectory: Trajectory, chain: Sequence[int]) -> int | None:
+    if trajectory.contact is None or len(chain) < 2:
+        return None
+    contact = trajectory.contact[:, chain[0], chain[1]]
+    return int(contact[0]) + int(np.sum(contact[1:] & ~contact[:-1]))
 
 
-def _first_scene(task_factory: Callable[[], Task], seed: int) -> tuple[Task, Observation]:
-    """The task after a reset, from which on it knows its scene and cost."""
-    task = task_factory()
-    observation, _ = task.reset(seed=seed)
-    _limits(task)
-    return task, observation
+def approach(trajectory: Trajectory, chain: Sequence[int]) -> tuple[float, float | None] | None:
+    """m/s of the chain's first node in the last state before it touches the second, and its lowest
+    speed after start-up and before that; None for the latter: it touches during start-up.
+
+    None where it never does, touches it from the start, contacts were not recorded, or the chain
+    has one node.
+    """
+    if trajectory.contact is None or len(chain) < 2:
+        return None
+    touching = trajectory.contact[:, chain[0], chain[1]]
+    first = int(np.argmax(touching))
+    if first == 0:
+        return None
+    speed = np.linalg.norm(trajectory.velocity[:first, chain[0]], axis=-1)
+    start_up = round(_START_UP_S / trajectory.scene.dt)
+    slowest = float(speed[start_up:].min(initial=math.inf))
+    return float(speed[-1]), slowest if first > start_up else None
 
 
-def _limits(task: Task) -> ControlLimits:
-    """[U] each; raises `InvalidInputError` where the task takes no control."""
-    box = cast(gymnasium.spaces.Box, task.action_space)
-    if not np.size(box.low):
-        raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
-    return ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
+def goal_distance(trajectory: Trajectory, chain: Sequence[int]) -> float | None:
+    """m, from the chain's last node to the goal in the last state. None without a goal."""
+    goal = trajectory.scene.goal
+    if goal is None:
+        return None
+    return float(np.linalg.norm(trajectory.position[-1, chain[-1]] - goal))
+
+
+def _success_interval(succeeded: Sequence[bool], scenes: Sequence[int]) -> tuple[float, float]:
+    """A scene that is repeated is one trial, with the share of its successes."""
+    results: dict[int, list[bool]] = {}
+    for scene, each in zip(scenes, succeeded, strict=True):
+        results.setdefault(scene, []).append(bool(each))
+    successes = sum(sum(each) / len(each) for each in results.values())
+    return wilson_interval(round(successes), len(results))
+
+
+def _touched_distractor(trajectory: Trajectory, chain: Sequence[int]) -> bool | None:
+    if trajectory.contact is None:
+        return None
+    member = np.isin(np.arange(trajectory.scene.node_count), chain)
+    return bool(trajectory.contact[:, member][:, :, ~member].any())
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None

@@ -38,7 +38,6 @@ from contactgraph.evaluate.open_loop_metrics import (
     unbeaten_baselines,
 )
 from contactgraph.evaluate.prediction_windows import trajectory_detail
-from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.evaluate.statistics import Sums
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
@@ -49,6 +48,7 @@ from contactgraph.model import (
     default_sensor,
 )
 from contactgraph.model.scene import check_fit
+from contactgraph.policies.sensor_faults import SensorFault, SensorFaults
 
 _EXACT = SensorFaults()
 
@@ -79,7 +79,7 @@ def evaluate_open_loop(
     *,
     horizon_s: float | None = None,
     sensor: ContactSensor | None = None,
-    faults: SensorFaults = _EXACT,
+    faults: SensorFault = _EXACT,
     motion_noise: MotionNoise | None = None,
     baselines: Mapping[str, Baseline] | None = None,
     metrics: Mapping[str, Metric] | None = None,

@@ -24,7 +24,6 @@ from contactgraph.evaluate.open_loop_detail import (
     OpenLoopDetail,
     WindowPredictions,
 )
-from contactgraph.evaluate.sensor_faults import SensorFaults
 from contactgraph.evaluate.trajectory_prediction import (
     TrajectoryPrediction,
     largest_pin_gaps,
@@ -34,6 +33,7 @@ from contactgraph.inference.features import turn_length_of
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import ContactSensor, MotionNoise, StepModel
 from contactgraph.model.scene import trajectory_for
+from contactgraph.policies.sensor_faults import SensorFault
 
 
 def trajectory_detail(
@@ -42,7 +42,7 @@ def trajectory_detail(
     index: int,
     steps: int,
     sensor: ContactSensor,
-    faults: SensorFaults,
+    faults: SensorFault,
     baselines: Mapping[str, Baseline],
     motion_noise: MotionNoise | None = None,
     last: bool = False,

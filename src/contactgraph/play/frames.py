@@ -9,10 +9,10 @@ import numpy as np
 
 from contactgraph.data import Scene, Trajectory, pair_indices
 from contactgraph.envs.contract import Observation
-from contactgraph.evaluate import Calibration, Episode, EpisodeRecord, belief_calibration
+from contactgraph.evaluate import Calibration, Episode, belief_calibration
 from contactgraph.evaluate.calibration import no_calibration
-from contactgraph.evaluate.control_task import switches_of
 from contactgraph.play.stage import Stage
+from contactgraph.policies import EpisodeRecord, switches_of
 from contactgraph.viz import SceneTrajectory
 from contactgraph.viz.scene_payload import number, scene_payload
 from contactgraph.viz.selection import shown_directions

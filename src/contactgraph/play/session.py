@@ -15,7 +15,6 @@ from pathlib import Path
 from contactgraph.data import InvalidInputError, Trajectory, write_trajectories
 from contactgraph.envs.episodes import episode_seed
 from contactgraph.evaluate import Episode
-from contactgraph.evaluate.control_task import switches_of
 from contactgraph.play.frames import View
 from contactgraph.play.stage import BuiltStage, Stage, StageParts, build_stage
 from contactgraph.play.wishes import (
@@ -31,6 +30,7 @@ from contactgraph.play.wishes import (
     StageChoice,
     Wish,
 )
+from contactgraph.policies import switches_of
 
 _WAITING = 200
 """Wishes that may wait for the session."""

@@ -12,10 +12,15 @@ from jaxtyping import Array, Float
 from contactgraph.data import InvalidInputError, Scene, pair_indices
 from contactgraph.dynamics.local_dynamics import SpringMassDamperDynamics
 from contactgraph.envs.contract import DisturbableTask, Feedback, Observation, Task
-from contactgraph.evaluate import MPCPolicy, SensorFaults, mpc_policy
-from contactgraph.evaluate.control_task import switches_of
 from contactgraph.model import ContactDynamics, ModelState, MotionNoise, Nodes, with_masses
 from contactgraph.play.wishes import StageChoice
+from contactgraph.policies import (
+    MPCPolicy,
+    PlannerFactory,
+    SensorFaults,
+    switches_of,
+    task_policy,
+)
 
 EPISODE_S = 60.0
 """Least duration of an episode, s, where the task itself does not end it sooner."""
@@ -41,6 +46,8 @@ class StageParts:
     starts: int
     """Of searches; 0: none."""
     motion_noise: MotionNoise | None
+    planner: PlannerFactory | None = None
+    """None: iLQR."""
 
 
 class HandPolicy:
@@ -95,13 +102,14 @@ class Stage:
         self._room = task.scene.node_count
         if grown and before is not None:
             self._room = max(self._room, before._room, _ROOM)
-        made = mpc_policy(
+        made = task_policy(
             parts.model,
             task,
-            observation,
+            seed=seed,
             horizon=parts.horizon,
             starts=parts.starts,
             motion_noise=parts.motion_noise,
+            planner=parts.planner,
             node_capacity=self._room,
         )
         if grown and before is not None:

@@ -9,7 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import ModelArgument, check_range, check_seed
+from contactgraph.cli.options import (
+    ModelArgument,
+    PlannerName,
+    check_range,
+    check_seed,
+    load_object,
+)
 from contactgraph.cli.output import check_writable, progress, write_json
 from contactgraph.data import Trajectory, write_trajectories
 from contactgraph_franka.cli.arms import Arm, open_arm
@@ -31,15 +37,7 @@ from contactgraph_franka.cli.session import (
     simulated_setup,
     wait_for_block,
 )
-from contactgraph_franka.envs.pickup import (
-    GOAL_RADIUS,
-    HAND,
-    TARGET,
-    pickup_cost,
-    pickup_scene,
-    sweep_start,
-    sweep_yaw,
-)
+from contactgraph_franka.envs import pickup
 from contactgraph_franka.loop import Planner, PlannerProcess
 from contactgraph_franka.safety import SafetyLimits
 
@@ -49,6 +47,26 @@ permit, more along one axis than along another, so that the hand approaches on a
 
 _REPORTED = ("rate_hz", "jitter_ms_p99", "plan_ms_p50", "plan_ms_p99", "plans", "plans_late")
 """Numbers of the loop of an episode in the JSON of `ControlSimulated`."""
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """How plans are made."""
+
+    horizon: Annotated[int, arg(metavar="INT")] = 100
+    """Steps to plan ahead."""
+    planner: PlannerName = None
+    infer_contacts: bool = False
+    """Infer contacts from motion, besides the fingers' sensor."""
+
+    def check(self, model: str) -> None:
+        """Refuses wrong names before the planner's process starts."""
+        from contactgraph.cli.models import model_path
+
+        check_range("--horizon", self.horizon, 1, 1000)
+        model_path(model)
+        if self.planner is not None:
+            load_object("--planner", self.planner)
 
 
 @dataclass(frozen=True)
@@ -63,10 +81,7 @@ class Run:
     arm: ArmOptions = field(default_factory=ArmOptions)
     seconds: float = 5.0
     """Duration."""
-    horizon: Annotated[int, arg(metavar="INT")] = 100
-    """Steps to plan ahead."""
-    infer_contacts: bool = False
-    """Infer contacts from motion, besides the fingers' sensor."""
+    plans: PlanOptions = field(default_factory=PlanOptions)
     stay: bool = False
     """Begin at the hand's present position, without moving slowly to the start of a sweep first."""
     dry_run: bool = False
@@ -78,16 +93,13 @@ class Run:
 
     def run(self) -> None:
         """Control the arm, and print the result."""
-        from contactgraph.cli.models import model_path
-
         for path in (self.save, self.json):
             check_writable(path)
         check_seconds("--seconds", self.seconds)
-        check_range("--horizon", self.horizon, 1, 1000)
         limits = self.arm.limits(self.address)
         goal = check_position("--goal", self.goal, limits)
-        model_path(self.model)  # a wrong name is refused before the planner starts
-        make = partial(mpc_planner, self.model, limits.max_force, self.horizon, self.infer_contacts)
+        self.plans.check(self.model)
+        make = partial(mpc_planner, self.model, limits.max_force, self.plans)
         with open_arm(self.address, self.arm) as arm:
             wait_for_block(arm)
             with PlannerProcess(make) as planner:
@@ -135,7 +147,7 @@ def _move_to_start(arm: Arm, goal: np.ndarray, limits: SafetyLimits) -> None:
     """Moves the hand slowly to the start of a sweep through the block."""
     block = block_position(arm)
     low, high = np.array(limits.workspace_low), np.array(limits.workspace_high)
-    hand = sweep_start(block, arm.block_yaw, goal, low, high)
+    hand = pickup.sweep_start(block, arm.block_yaw, goal, low, high)
     at = point(block, 3)
     if hand is None:
         raise RobotFault(
@@ -143,7 +155,7 @@ def _move_to_start(arm: Arm, goal: np.ndarray, limits: SafetyLimits) -> None:
             "nearer to the middle, or use --stay"
         )
     count_down(arm, f"the block is at {at} m; the hand first moves slowly to {point(hand)} m")
-    arm.move_to(hand, sweep_yaw(hand, block))
+    arm.move_to(hand, pickup.sweep_yaw(hand, block))
 
 
 @dataclass(frozen=True)
@@ -163,10 +175,7 @@ class ControlSimulated:
     """Duration of each."""
     pace: float = 4.0
     """Wall seconds to a simulated one."""
-    horizon: Annotated[int, arg(metavar="INT")] = 100
-    """Steps to plan ahead."""
-    infer_contacts: bool = False
-    """Infer contacts from motion, besides the fingers' sensor."""
+    plans: PlanOptions = field(default_factory=PlanOptions)
     save: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the ground-truth trajectories to this dataset file (HDF5)."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -174,20 +183,18 @@ class ControlSimulated:
 
     def run(self) -> None:
         """Run the episodes, and print the success rate."""
-        from contactgraph.cli.models import model_path
+        from contactgraph.evaluate import wilson_interval
 
         for path in (self.save, self.json):
             check_writable(path)
         check_range("--episodes", self.episodes, 1, 1000)
-        check_range("--horizon", self.horizon, 1, 1000)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
-        model_path(self.model)  # a wrong name is refused before the planner starts
+        self.plans.check(self.model)
         results: list[dict[str, Any]] = []
         trajectories: list[Trajectory] = []
         with simulated_setup(self.pace) as setup:
-            force = setup.limits.max_force
-            make = partial(mpc_planner, self.model, force, self.horizon, self.infer_contacts)
+            make = partial(mpc_planner, self.model, setup.limits.max_force, self.plans)
             with PlannerProcess(make) as planner, progress("episodes", self.episodes) as steps:
                 session = Session(setup.arm, setup.limits, planner, self.seconds)
                 for number in range(self.episodes):
@@ -198,10 +205,20 @@ class ControlSimulated:
             steps_per_s = setup.simulation.rate
         if trajectories and self.save is not None:
             write_trajectories(self.save, trajectories, {"task": "franka", "seed": self.seed})
-        summary = self._summary(results)
+        successes = sum(one["success"] for one in results)
+        speeds = [speed for one in results if (speed := one["contact_speed_m_s"]) is not None]
+        rate, (low, high) = successes / len(results), wilson_interval(successes, len(results))
+        summary = {
+            "run": self.model,
+            **{name: getattr(self, name) for name in ("seed", "episodes", "seconds", "pace")},
+            "infer_contacts": self.plans.infer_contacts,
+            "successes": successes,
+            "success_rate": rate,
+            "success_interval": [low, high],
+            "contact_speed_m_s": median(speeds) if speeds else None,
+            "rate_hz": min(one["rate_hz"] for one in results),
+        }
         write_json(self.json, {**summary, "server_ticks_per_wall_s": steps_per_s, "each": results})
-        low, high = summary["success_interval"]
-        rate = summary["success_rate"]
         print(f"success {100 * rate:.0f} % ({100 * low:.0f} to {100 * high:.0f})")
         for one in results:
             if not one["success"]:
@@ -219,20 +236,20 @@ class ControlSimulated:
         recorded = session.trajectory(layout.goal, {"number": number, "model": self.model})
         ground_truth = setup.simulation.ground_truth
         last = ground_truth.newest()
-        distance = float(np.linalg.norm(last["position"][TARGET] - layout.goal))
-        held = bool(last["fingers"][TARGET - 1].any())
+        distance = float(np.linalg.norm(last["position"][pickup.TARGET] - layout.goal))
+        held = bool(last["fingers"][pickup.TARGET - 1].any())
         truth = speed = error = None
         if recorded is not None:
             truth = ground_truth_trajectory(ground_truth, recorded, session.began)
         if recorded is not None and truth is not None and truth.contact is not None:
-            touched = np.flatnonzero(truth.contact[:, HAND, TARGET])
+            touched = np.flatnonzero(truth.contact[:, pickup.HAND, pickup.TARGET])
             if len(touched):
-                speed = float(np.linalg.norm(truth.velocity[touched[0], HAND]))
-            offset = (recorded.position - truth.position)[:, TARGET]
+                speed = float(np.linalg.norm(truth.velocity[touched[0], pickup.HAND]))
+            offset = (recorded.position - truth.position)[:, pickup.TARGET]
             error = float(np.median(np.linalg.norm(offset, axis=1)))
         return {
             "number": number,
-            "success": held and distance <= GOAL_RADIUS,
+            "success": held and distance <= pickup.GOAL_RADIUS,
             "distance_m": distance,
             "held": held,
             "contact_speed_m_s": speed,
@@ -242,43 +259,25 @@ class ControlSimulated:
             **{name: getattr(report, name) for name in _REPORTED},
         }, truth
 
-    def _summary(self, results: list[dict[str, Any]]) -> dict[str, Any]:
-        from contactgraph.evaluate import wilson_interval
 
-        successes = sum(one["success"] for one in results)
-        speeds = [speed for one in results if (speed := one["contact_speed_m_s"]) is not None]
-        return {
-            "run": self.model,
-            "seed": self.seed,
-            "episodes": self.episodes,
-            "seconds": self.seconds,
-            "pace": self.pace,
-            "infer_contacts": self.infer_contacts,
-            "successes": successes,
-            "success_rate": successes / len(results),
-            "success_interval": list(wilson_interval(successes, len(results))),
-            "contact_speed_m_s": median(speeds) if speeds else None,
-            "rate_hz": min(one["rate_hz"] for one in results),
-        }
-
-
-def mpc_planner(name: str, max_force: float, horizon: int, infer_contacts: bool) -> Planner:
+def mpc_planner(name: str, max_force: float, options: PlanOptions) -> Planner:
     """MPC with the model ``name``, for the arm's pickup; forces up to ``max_force`` N.
 
     Raises `InvalidInputError` as `stored_model` does, and for a model of another task.
     """
     from contactgraph.cli.models import stored_model
-    from contactgraph.evaluate.task_cost import TaskCost
     from contactgraph.model import motion_noise
+    from contactgraph.policies.task_cost import TaskCost
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
     model = stored_model(name)
     goal = np.zeros(3)  # each episode has its own
     return MPCPlanner(
         model,
-        pickup_scene(model.dt, goal),
-        TaskCost.of(replace(pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
+        pickup.pickup_scene(model.dt, goal),
+        TaskCost.of(replace(pickup.pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
         max_force,
-        horizon=horizon,
-        motion_noise=motion_noise(model) if infer_contacts else None,
+        horizon=options.horizon,
+        planner=None if options.planner is None else load_object("--planner", options.planner),
+        motion_noise=motion_noise(model) if options.infer_contacts else None,
     )

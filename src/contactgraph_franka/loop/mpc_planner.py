@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, ActiveSetMPC, ActiveSetState, ControlLimits
+from contactgraph.control import ILQR, MPC, ActiveSetMPC, ActiveSetState, ControlLimits
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.evaluate.plan_tracking import plan_feedback
-from contactgraph.evaluate.task_cost import SceneCost
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.scene import check_fit
+from contactgraph.policies import PlannerFactory, SceneCost
+from contactgraph.policies.episode_record import plan_feedback
 from contactgraph_franka.loop import EpisodeStart, PlanFeedback, TimedObservation
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])
@@ -35,14 +36,13 @@ class MPCPlanner:
         max_force: float,
         *,
         horizon: int = 50,
-        iterations: int = 5,
-        sensor: ContactSensor | None = None,
+        planner: PlannerFactory | None = None,
         motion_noise: MotionNoise | None = None,
     ) -> None:
         """``scene``, in three dimensions, is that of all episodes; each has its own goal.
 
         ``max_force`` N is the largest force on the hand that the robot's limits permit: plans keep
-        to a box inside it. ``sensor`` None: measured contacts are hardly ever wrong.
+        to a box inside it. ``planner`` None: iLQR.
         Raises `InvalidInputError` where the parts do not fit, or a number is out of range.
         """
         if not max_force > 0.0:
@@ -51,14 +51,15 @@ class MPCPlanner:
         if scene.dimension != len(_SHARES):
             raise InvalidInputError(f"the robot moves in 3 dimensions, found {scene.dimension}")
         bound = jnp.asarray(max_force * _SHARES)
-        ilqr = ILQR(horizon=horizon, iterations=iterations, limits=ControlLimits(-bound, bound))
-        self._mpc = ActiveSetMPC(
+        make, limits = planner or partial(ILQR, iterations=5), ControlLimits(-bound, bound)
+        mpc = MPC(
             model,
-            ilqr,
-            ContactSensor(0.01, 0.01) if sensor is None else sensor,
+            make(horizon=horizon, limits=limits),
+            ContactSensor(0.01, 0.01),
             replan_every=horizon,
             motion_noise=motion_noise,
         )
+        self._mpc = ActiveSetMPC(mpc)
         self._scene, self._cost = scene, cost
         self._state: ActiveSetState | None = None
         self.interval = float(scene.dt)

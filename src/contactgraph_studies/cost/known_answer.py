@@ -11,7 +11,7 @@ import numpy as np
 
 from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
 from contactgraph.data import read_trajectories
-from contactgraph.evaluate import TaskCost
+from contactgraph.policies import TaskCost
 from contactgraph_studies.cost.config import CostAmounts, CostCondition, known_answer
 from contactgraph_studies.cost.jobs import learning
 from contactgraph_studies.job import Measurement

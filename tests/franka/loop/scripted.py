@@ -109,7 +109,7 @@ def unmakeable() -> Scripted:
     raise InvalidInputError("there is no such model")
 
 
-def feedback_planner(path: Path, max_force: float, horizon: int, infer: bool) -> Scripted:
+def feedback_planner(path: Path, max_force: float, options: object) -> Scripted:
     """In place of the commands' MPC: a `PlanFeedback` without gains that pushes along y."""
     states = np.zeros((21, 2, 2, 3))
     plan = PlanFeedback(states, np.tile([0.0, 3.0, 0.0], (20, 1)), np.zeros((20, 3, 2, 2, 3)), 0.02)

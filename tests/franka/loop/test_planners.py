@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from contactgraph.control import PlanStatus
+from contactgraph.control import MPC, PlanStatus
 from contactgraph.data import InvalidInputError
-from contactgraph.evaluate.task_cost import TaskCost
 from contactgraph.model import ContactDynamics, shipped_model
 from contactgraph.model.io import load_model
+from contactgraph.policies.task_cost import TaskCost
 from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import is_success, pickup_cost, pickup_scene
 from contactgraph_franka.loop import (
@@ -128,8 +128,8 @@ def observation(time: float, contact: float) -> TimedObservation:
 class RecordedMPC:
     """Records the arguments of `ActiveSetMPC`, and fails to plan where the contact is 1."""
 
-    def __init__(self, model: Any, ilqr: Any, sensor: Any, **options: Any) -> None:
-        self.ilqr, self.options, self.steps = ilqr, options, []
+    def __init__(self, mpc: MPC) -> None:
+        self.config, self.steps = mpc.config, []
 
     def reset(self, observation: Any, nodes: Any, cost: Any) -> int:
         self.goal = observation["goal"]
@@ -163,10 +163,10 @@ def test_skipped_observations_update_the_belief_and_one_plan_is_made(
         assert last == [k, k == 2]
     assert planner.plan([observation(0.03, 1.0)]) is None
     # Every plan is within the force that the limits permit.
-    limits = recorded.ilqr.limits
+    limits = recorded.config.planner.limits
     np.testing.assert_allclose(np.linalg.norm(limits.upper), MAX_FORCE, rtol=1e-6)
     np.testing.assert_array_equal(limits.lower, -limits.upper)
-    assert recorded.options["replan_every"] == recorded.ilqr.horizon
+    assert recorded.config.replan_every == recorded.config.planner.horizon
 
 
 def test_invalid_arguments(model: ContactDynamics) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,16 +13,15 @@ from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
 from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
 from contactgraph.data.dataset import far_origin, scene_about
 from contactgraph.envs.contract import Feedback, Observation
-from contactgraph.evaluate.avoiding_cost import AvoidingCost
-from contactgraph.evaluate.plan_tracking import (
+from contactgraph.model import ContactBelief, scene_nodes
+from contactgraph.policies.episode_record import (
     EpisodeRecord,
     edge_probabilities,
     plan_feedback,
     planned_positions,
 )
-from contactgraph.evaluate.sensor_faults import FaultySensor, ObservationNoise, SensorFaults
-from contactgraph.evaluate.task_cost import CandidateTrials, SceneCost
-from contactgraph.model import ContactBelief, scene_nodes
+from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
+from contactgraph.policies.task_cost import AvoidingCost, CandidateTrials, SceneCost
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
@@ -54,7 +54,7 @@ class MPCPolicy:
         mpc: MPC | ActiveSetMPC,
         cost: SceneCost,
         node_capacity: int = 0,
-        faults: SensorFaults = _EXACT,
+        faults: SensorFault = _EXACT,
         measured: bool = True,
         noise: ObservationNoise = _NOISELESS,
         candidates: tuple[int, ...] = (),
@@ -78,7 +78,7 @@ class MPCPolicy:
         self._measured = measured
         self._noise = noise
         self._noise_rng = noise.begin(0)
-        self._sensor: FaultySensor | None = None
+        self._sensor: Callable[[np.ndarray], np.ndarray] | None = None
         self._scene: Scene | None = None
         self._state: Any = None
         self._steps: list[_Step] = []
@@ -173,7 +173,7 @@ class MPCPolicy:
         """The controller's, after its last step; None before the first one."""
         return self._state
 
-    def sense(self, faults: SensorFaults, measured: bool = True) -> None:
+    def sense(self, faults: SensorFault, measured: bool = True) -> None:
         """Gives the sensor other faults from now on, or takes it away, until `reset`.
 
         Raises `InvalidInputError` before the first `reset`.

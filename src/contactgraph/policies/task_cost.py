@@ -6,7 +6,14 @@ from typing import Protocol
 
 import numpy as np
 
-from contactgraph.control import ContactCost, Cost, QuadraticCost, avoid, chain_cost
+from contactgraph.control import (
+    ContactCost,
+    Cost,
+    QuadraticCost,
+    avoid,
+    chain_cost,
+    keep_clear,
+)
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 
@@ -19,6 +26,12 @@ _GIVEN_UP_WEIGHT = 100.0
 gripper, and is known to be heavy, is torn off by a plan only if that pays."""
 _THERE = 0.1
 """m from the goal, up to which a body may rest there."""
+CLEARANCE = 0.03
+"""m; least gap between surfaces."""
+WEIGHT = 1e4
+"""1/m^2; of what is missing of the gap."""
+TOUCH_WEIGHT = 10.0
+"""Of a step in which a body that is to be avoided is believed to be touched."""
 
 
 class SceneCost(Cost, Protocol):
@@ -113,6 +126,62 @@ class TaskCost:
         if not self.turns:
             return cost
         return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
+
+
+@dataclass(frozen=True, eq=False)
+class AvoidingCost:
+    """Another cost, and one of coming near bodies that it is not about; of a scene once in it."""
+
+    cost: SceneCost
+    clearance: float = CLEARANCE
+    """m"""
+    weight: float = WEIGHT
+    """1/m^2"""
+    candidates: tuple[int, ...] = ()
+    """Bodies that may be touched, beside those of the cost."""
+    contacts: tuple[ContactCost, ...] = ()
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """The nodes of the other cost."""
+        return self.cost.order
+
+    def in_scene(self, scene: Scene) -> "AvoidingCost":
+        """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
+        known = scene.radius is not None and bool(np.all(np.isfinite(scene.radius)))
+        if self.clearance > 0.0 and not known:
+            raise InvalidInputError(
+                "a clearance from bodies needs their radius, which the scene has not; with a "
+                "clearance of 0 they are not touched as far as the model believes"
+            )
+        cost = self.cost.in_scene(scene)
+        handled = tuple(dict.fromkeys((*cost.order, *self.candidates)))
+        others = [node for node in range(scene.node_count) if node not in handled]
+        pairs = np.array([(one, other) for one in handled for other in others], int)
+        pairs = pairs.reshape(-1, 2)
+        if not len(pairs):
+            return replace(self, cost=cost, contacts=())
+        dimension = scene.dimension
+        contacts: tuple[ContactCost, ...] = (avoid(pairs, TOUCH_WEIGHT, dimension),)
+        if self.clearance > 0.0:
+            assert scene.radius is not None
+            gap = scene.radius[pairs].sum(axis=1) + self.clearance
+            contacts += (keep_clear(pairs, gap, self.weight, dimension),)
+        return replace(self, cost=cost, contacts=contacts)
+
+    def among(self, nodes: Sequence[int]) -> "AvoidingCost":
+        """See `SceneCost`."""
+        return replace(self, cost=self.cost.among(nodes))
+
+    def seeing(self, observation: Observation) -> "AvoidingCost":
+        """See `SceneCost`."""
+        cost = self.cost.seeing(observation)
+        return self if cost is self.cost else replace(self, cost=cost)
+
+    def quadratic(self, node_count: int) -> QuadraticCost:
+        """The other cost, with what is to be avoided."""
+        cost = self.cost.quadratic(node_count)
+        return replace(cost, contacts=(*cost.contacts, *self.contacts))
 
 
 class CandidateTrials:

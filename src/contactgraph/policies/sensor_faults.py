@@ -1,6 +1,7 @@
 """Imperfect observation: contact sensors with errors and delay, and noise on the motion."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,33 @@ from contactgraph.envs.contract import Observation
 from contactgraph.model import ContactSensor
 
 
+class SensorFault:
+    """A contact sensor that errs; a class of your own overrides `begin`."""
+
+    exact = False
+    """Whether the sensor has no fault."""
+
+    @property
+    def sensor(self) -> ContactSensor:
+        """The sensor model by which beliefs are corrected."""
+        return ContactSensor()
+
+    def begin(self, scene: Scene, number: int) -> Callable[[np.ndarray], np.ndarray]:
+        """The sensor at the start of a trajectory, whose ``number`` selects its random errors.
+
+        It is called with the true contacts ``[N, N]`` bool of one step after the other, and returns
+        its report, ``[N, N]``, symmetric: 1 touching, 0 not, NaN not measured.
+        """
+        raise NotImplementedError
+
+    def reported(self, contact: np.ndarray, scene: Scene, number: int) -> np.ndarray:
+        """[T+1, N, N]: the sensor's reports of the true ``contact`` of a trajectory."""
+        sensor = self.begin(scene, number)
+        return np.stack([sensor(each) for each in contact])
+
+
 @dataclass(frozen=True)
-class SensorFaults:
+class SensorFaults(SensorFault):
     """Errors of a contact sensor, independent for every edge and step, and reproducible.
 
     Errors come before the delay: at step t the sensor reports its reading of step
@@ -48,44 +74,29 @@ class SensorFaults:
         )
 
     @property
-    def exact(self) -> bool:
+    def exact(self) -> bool:  # type: ignore[override]
         """Whether the sensor has no fault."""
         return not (self.false_alarm_rate or self.miss_rate or self.delay_steps)
 
-    def begin(self, scene: Scene, number: int) -> "FaultySensor":
-        """The sensor at the start of a trajectory, whose ``number`` selects its random errors."""
-        return FaultySensor(self, scene, np.random.default_rng([self.seed, number]))
+    def begin(self, scene: Scene, number: int) -> Callable[[np.ndarray], np.ndarray]:
+        """See `SensorFault`."""
+        rng, count = np.random.default_rng([self.seed, number]), scene.node_count
+        first, second = pair_indices(count).T
+        candidate = candidate_pairs(scene, count)
+        waiting = [np.zeros((count, count), dtype=bool)] * self.delay_steps
 
-    def reported(self, contact: np.ndarray, scene: Scene, number: int) -> np.ndarray:
-        """[T+1, N, N] bool: the sensor's reports of the true ``contact`` of a trajectory."""
-        sensor = self.begin(scene, number)
-        return np.stack([sensor(each) for each in contact])
+        def reported(contact: np.ndarray) -> np.ndarray:
+            true = contact[first, second].astype(bool)
+            # One random number an edge at any rate, so that a higher rate adds errors to those of
+            # a lower one.
+            drawn = rng.random(len(true))
+            alarm = candidate & (drawn < self.false_alarm_rate)
+            report = np.zeros(contact.shape, dtype=bool)
+            report[first, second] = np.where(true, drawn >= self.miss_rate, alarm)
+            waiting.append(report | report.T)
+            return waiting.pop(0)
 
-
-class FaultySensor:
-    """A sensor that reads true contacts step by step and reports them with faults."""
-
-    def __init__(self, faults: SensorFaults, scene: Scene, rng: np.random.Generator) -> None:
-        self._faults = faults
-        self._rng = rng
-        self._pairs = pair_indices(scene.node_count)
-        self._candidate = candidate_pairs(scene, scene.node_count)
-        nothing: np.ndarray = np.zeros((scene.node_count, scene.node_count), dtype=bool)
-        self._waiting = [nothing] * faults.delay_steps
-
-    def __call__(self, contact: np.ndarray) -> np.ndarray:
-        """[N, N] bool, symmetric: the report at a step in which ``contact`` [N, N] holds."""
-        first, second = self._pairs.T
-        true = contact[first, second].astype(bool)
-        # One random number an edge at any rate, so that a higher rate adds errors to those of a
-        # lower one.
-        drawn = self._rng.random(len(true))
-        alarm = self._candidate & (drawn < self._faults.false_alarm_rate)
-        read = np.where(true, drawn >= self._faults.miss_rate, alarm)
-        report = np.zeros(contact.shape, dtype=bool)
-        report[first, second] = report[second, first] = read
-        self._waiting.append(report)
-        return self._waiting.pop(0)
+        return reported
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
-"""iLQR from several routes at once to where the cost is least: straight, and round either side."""
+"""Starts by several routes to where the cost is least: straight, and round either side."""
 
 import dataclasses
-import itertools
 
 import equinox as eqx
 import jax
@@ -10,15 +9,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
-from contactgraph.control.candidates import best_plan, side_by_side
-from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.ilqr import ILQR, Progress
-from contactgraph.control.lanes import in_lanes
-from contactgraph.control.plan import Plan
-from contactgraph.control.rollout import SweptBounds
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.multi_start import PlanningProblem, Starts
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_indices
-from contactgraph.model import ContactBelief, ContactDynamics, ModelState, Nodes, StepModel
+from contactgraph.model import ContactBelief, ContactDynamics, ModelState, Nodes
 
 _WIDEST = 2.0
 """rad; angle by which the outer routes turn aside."""
@@ -28,10 +23,6 @@ _GAIN = 0.5
 """Part of the distance that is left which a step covers, at most."""
 _RIDGE = 1e-6
 """Of the mean square response to the control; controls that move nothing stay 0."""
-_TRIED = 2
-"""Rollouts of each route, after which the best one is known well enough."""
-_LANES = 8
-"""Of a vector; of more candidates the best after their first rollouts go on."""
 _TINY = 1e-9
 
 
@@ -64,79 +55,49 @@ class FreeMotion(eqx.Module):
         return cls(free.A[..., 1, :], free.offset[..., 1], inverse.transpose(2, 0, 1))
 
 
-class RouteILQR(ILQR):
-    """`ILQR` from the guess and from ``routes`` others, side by side; the plan of the lowest cost.
+class Routes(eqx.Module):
+    """Routes to where the cost is least: one by each of as many angles, from 2 rad to one side to
+    2 rad to the other.
 
     iLQR alone stays on the side of a body on which its guess passes, or stops before it. A route
     leads each driven body to where the cost of positions is least for it and all that it holds,
-    moved as one. It turns aside at first: one route by each of as many angles, from 2 rad to one
-    side to 2 rad to the other. The guess is always among the candidates, so the plan's cost is
-    never above the guess's.
+    moved as one. It turns aside at first.
     """
 
-    routes: int = eqx.field(static=True, default=7)
+    count: int = eqx.field(static=True, default=7)
     speed: float = eqx.field(static=True, default=1.0)
     """m/s, along a route."""
 
     def __check_init__(self) -> None:
-        if self.routes < 1 or not self.speed > 0.0:
+        if self.count < 1 or not self.speed > 0.0:
             raise InvalidInputError(
-                f"routes must be 1 or more and speed positive, found {self.routes} and {self.speed}"
+                f"routes must be 1 or more and speed positive, found {self.count} and {self.speed}"
             )
 
-    def solve(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: Cost,
-        guess: AffinePolicy | None = None,
-    ) -> Plan:
-        """The plan of the lowest cost; see `ILQR.solve`. ``iterations`` counts all rollouts.
+    def __call__(self, problem: PlanningProblem) -> Starts:
+        """A start for each route, with gains that follow its velocities as if the driven bodies
+        touched nothing.
 
         Raises `InvalidInputError` where the model is no `ContactDynamics`.
         """
+        model, state, nodes = problem.model, problem.state, problem.nodes
         if not isinstance(model, ContactDynamics):
             raise InvalidInputError(f"routes need a ContactDynamics, found {type(model).__name__}")
-        quadratic, guess = self.prepared(model, state, cost, guess)
-        guesses = side_by_side(guess, self._begun(model, state, nodes, quadratic))
-
-        def searched(begin: AffinePolicy | Progress, rollouts: int, lanes: int) -> Progress:
-            return in_lanes(
-                lambda each: self.search(model, state, nodes, quadratic, each, rollouts), lanes
-            )(begin)
-
-        count = self.routes + 1
-        tried = min(_TRIED, self.iterations)
-        rounds = [searched(guesses, tried if count <= _LANES else 1, count)]
-        if count > _LANES:
-            rounds.append(searched(_best(rounds[0], _LANES), tried, _LANES))
-        rounds.append(searched(_best(rounds[-1], 2), self.iterations, 2))
-        plans = in_lanes(lambda each: self.plan_of(each, quadratic), 2)(rounds[-1])
-        return _with_dropped(
-            best_plan(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)), rounds
-        )
-
-    def _begun(
-        self, model: ContactDynamics, state: ModelState, nodes: Nodes, cost: QuadraticCost
-    ) -> AffinePolicy:
-        """A policy for each route: K [H, U, N, 2, G, S] and k [H, U, S].
-
-        It follows the route's velocities as if the driven bodies touched nothing.
-        """
-        dimension = model.dimension
+        dimension, horizon = model.dimension, problem.planner.horizon
         motion = FreeMotion.of(model, state, nodes, self.speed)
         inverse = jnp.where((nodes.actuated & nodes.mask)[:, None, None], motion.inverse, 0.0)
-        aim = _place_of_least_cost(state, cost)[:, :dimension]
-        wanted = self._velocities(aim, model.dt) - motion.offset[:, :dimension, None]
+        aim = _place_of_least_cost(state, problem.cost)[:, :dimension]
+        wanted = self._velocities(aim, horizon, model.dt) - motion.offset[:, :dimension, None]
         K = -jnp.einsum("nud,ndx->unxd", inverse, motion.A[:, :dimension])
         K = jnp.pad(K, [(0, 0)] * 3 + [(0, state.position.shape[1] - dimension)])
-        K = jnp.broadcast_to(K[None, ..., None], (self.horizon, *K.shape, self.routes))
-        return AffinePolicy(K, jnp.einsum("nud,tnds->tus", inverse, wanted))
+        K = jnp.broadcast_to(K[None, ..., None], (horizon, *K.shape, self.count))
+        return Starts(AffinePolicy(K, jnp.einsum("nud,tnds->tus", inverse, wanted)))
 
-    def _velocities(self, aim: Float[Array, "N D"], dt: float) -> Float[Array, "H N D S"]:
+    def _velocities(
+        self, aim: Float[Array, "N D"], horizon: int, dt: float
+    ) -> Float[Array, "H N D S"]:
         """m/s; of bodies that are led to ``aim`` [m], from where they are."""
-        angle = np.linspace(-_WIDEST, _WIDEST, self.routes) if self.routes > 1 else np.zeros(1)
+        angle = np.linspace(-_WIDEST, _WIDEST, self.count) if self.count > 1 else np.zeros(1)
         cosine, sine = np.cos(angle), np.sin(angle)
 
         def step(at: Array, turns: Array) -> tuple[Array, Array]:
@@ -148,32 +109,9 @@ class RouteILQR(ILQR):
             velocity = way * jnp.minimum(self.speed / length, _GAIN / dt)
             return at + dt * velocity, velocity
 
-        turns = jnp.arange(self.horizon) < _ASIDE * self.horizon
-        begin = jnp.zeros((*aim.shape, self.routes), aim.dtype)
+        turns = jnp.arange(horizon) < _ASIDE * horizon
+        begin = jnp.zeros((*aim.shape, self.count), aim.dtype)
         return jax.lax.scan(step, begin, turns)[1]
-
-
-def _best(progress: Progress, count: int) -> Progress:
-    """The first lane and those of the others with the lowest costs, ``count`` in all."""
-    cost = progress[0].cost[1:]
-    others = jnp.argsort(jnp.where(jnp.isfinite(cost), cost, jnp.inf))[: count - 1]
-    lanes = jnp.concatenate([jnp.zeros(1, others.dtype), 1 + others])
-    return jax.tree.map(lambda leaf: leaf[..., lanes], progress)
-
-
-def _with_dropped(plan: Plan, rounds: list[Progress]) -> Plan:
-    """The plan with the rollouts and bounds of lanes that were dropped after each round, too."""
-    count = plan.iterations
-    swept = plan.swept
-    for before, after in itertools.pairwise(rounds):
-        went_on = _best(before, after[0].cost.size)[0].iteration
-        count += jnp.sum(before[0].iteration) - jnp.sum(went_on)
-        if swept is not None and before[1] is not None:
-            swept = SweptBounds(
-                jnp.minimum(swept.lower, jnp.min(before[1].lower, axis=-1)),
-                jnp.maximum(swept.upper, jnp.max(before[1].upper, axis=-1)),
-            )
-    return dataclasses.replace(plan, iterations=count, swept=swept)
 
 
 def _place_of_least_cost(state: ModelState, cost: QuadraticCost) -> Float[Array, "N G"]:

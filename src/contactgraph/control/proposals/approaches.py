@@ -1,11 +1,9 @@
-"""iLQR from the best of many starts: going to a body to push or grasp it, staying, going on.
+"""A start by the best of many approaches: going to a body to push or grasp it, or staying.
 
 iLQR alone follows the contacts that a rollout happens to make: where a body must be pushed from its
 far side, its A and B do not see the body at all. So the model rolls out approaches of the bodies
 that the cost is about, by the actuated bodies that may touch them, and iLQR polishes the best.
 """
-
-import dataclasses
 
 import equinox as eqx
 import jax
@@ -13,7 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from contactgraph.control.approaches import (
+from contactgraph.control.box_qp import AffinePolicy, ControlLimits
+from contactgraph.control.cost import QuadraticCost
+from contactgraph.control.ilqr import ILQR
+from contactgraph.control.lanes import in_lanes
+from contactgraph.control.multi_start import PlanningProblem, Starts
+from contactgraph.control.proposals.approach import (
     Approach,
     Draws,
     against_gravity,
@@ -21,13 +24,7 @@ from contactgraph.control.approaches import (
     spread_approaches,
     varied_approaches,
 )
-from contactgraph.control.box_qp import AffinePolicy, ControlLimits
-from contactgraph.control.candidates import all_plans, best_plan, side_by_side
-from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.ilqr import ILQR
-from contactgraph.control.lanes import in_lanes
-from contactgraph.control.plan import Plan
-from contactgraph.control.routes import FreeMotion
+from contactgraph.control.proposals.routes import FreeMotion
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import edge_id, pair_indices
 from contactgraph.model import (
@@ -42,7 +39,7 @@ from contactgraph.model import (
 
 
 def searches(model: StepModel) -> bool:
-    """Whether `SearchILQR` plans with this model."""
+    """Whether `Approaches` are found with this model."""
     return isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
 
 
@@ -53,15 +50,13 @@ _LEVEL, _ELASTIC = 0.1, 0.3
 body bounces off it at least."""
 
 
-class SearchILQR(ILQR):
-    """`ILQR` that begins at the best of many approaches, or goes on with the guess.
+class Approaches(eqx.Module):
+    """The best of many approaches.
 
     Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
     others near the best eight. Where bodies bounce off walls, every second one aims at an image of
-    the goal in one of them. The best one by its cost and the guess are each improved by `ILQR`, and
-    the cheaper plan is taken, so its cost is never above the guess's. To stay is among the starts.
-    The draws follow from the positions: equal states give equal plans, and from step to step
-    others are tried.
+    the goal in one of them. To stay is among them. The draws follow from the positions: equal
+    states give equal plans, and from step to step others are tried.
 
     The model must be a `ContactDynamics` with `InvariantFeatures`, whose contact distance says how
     to go round a body, and whose unit of speeds how fast.
@@ -69,8 +64,6 @@ class SearchILQR(ILQR):
 
     starts: int = eqx.field(static=True, default=64)
     rounds: int = eqx.field(static=True, default=2)
-    switching_cost: float = eqx.field(static=True, default=0.0)
-    """Added each time that a plan changes a command, first against the running plan."""
 
     def __check_init__(self) -> None:
         if self.starts < _ELITES or self.rounds < 1:
@@ -79,72 +72,38 @@ class SearchILQR(ILQR):
                 f"{self.rounds}"
             )
 
-    def solve(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: Cost,
-        guess: AffinePolicy | None = None,
-    ) -> Plan:
-        """The cheaper of two plans; see `ILQR.solve`, whose rollouts alone ``iterations`` counts.
-
-        Raises `InvalidInputError` where the model is another.
-        """
+    def __call__(self, problem: PlanningProblem) -> Starts:
+        """One start. Raises `InvalidInputError` where the model is another."""
+        model = problem.model
         if not searches(model):
             raise InvalidInputError(
                 "a search for starts needs a ContactDynamics with InvariantFeatures, found "
                 f"{type(model).__name__}"
             )
-        quadratic, guess = self.prepared(model, state, cost, guess)
         assert isinstance(model, ContactDynamics)
-        commands = model.inference.commands
-        size = quadratic.control_size
+        found = self._best(problem, _Scene.of(problem), model.inference.commands)
+        best = AffinePolicy(jnp.zeros_like(problem.guess.K), found)
         # iLQR makes grasps faster than fingers hold; with commands the approach is the plan.
-        planner = dataclasses.replace(
-            self,
-            fixed=tuple(range(size - commands, size)),
-            iterations=1 if commands else self.iterations,
-        )
-        # A shifted plan ends without control, which would let go of what it holds.
-        kept = guess.k[max(-2, -self.horizon), size - commands :]
-        guess = AffinePolicy(guess.K, guess.k.at[-1, size - commands :].set(kept))
-        before = guess.k[0, size - commands :]
-        found = self._best_start(_Scene.of(model, state, nodes, quadratic), before)
-        begin = AffinePolicy(jnp.zeros_like(guess.K), found)
-        guesses = side_by_side(guess, jax.tree.map(lambda leaf: leaf[..., None], begin))
+        improved = not model.inference.commands
+        return Starts(jax.tree.map(lambda leaf: leaf[..., None], best), improved=improved)
 
-        def switching(plans: Plan) -> Float[Array, " S"]:
-            return self._switching(before, plans.controls)
-
-        return best_plan(all_plans(planner, model, state, nodes, quadratic, guesses), switching)
-
-    def _switching(
-        self, before: Float[Array, " C"], controls: Float[Array, "*S H U"]
-    ) -> Float[Array, "*S"]:
-        """The cost of changes of commands in plans that follow the command ``before``."""
-        commands = controls[..., controls.shape[-1] - len(before) :]
-        changes = jnp.diff(
-            commands, axis=-2, prepend=jnp.broadcast_to(before, commands[..., :1, :].shape)
-        )
-        return self.switching_cost * jnp.sum(changes != 0.0, axis=(-2, -1))
-
-    def _best_start(self, scene: "_Scene", before: Float[Array, " C"]) -> Float[Array, "H U"]:
-        """The controls of the cheapest approach; ``before``: the running plan's next command."""
-        position = scene.state.position
+    def _best(
+        self, problem: PlanningProblem, scene: "_Scene", commands: int
+    ) -> Float[Array, "H U"]:
+        """The controls of the cheapest approach."""
+        planner, position = problem.planner, scene.state.position
         bits = jax.lax.bitcast_convert_type(position.astype(jnp.float32), jnp.uint32)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), self.rounds)
-        commands = scene.model.inference.commands
         draws = [Draws.of(key, self.starts, scene.model.dimension, commands) for key in keys]
-        bounds = self.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
+        bounds = planner.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
-        follow = eqx.filter_jit(in_lanes(lambda each: scene.follow(each, self), self.starts))
+        follow = eqx.filter_jit(in_lanes(lambda each: scene.follow(each, planner), self.starts))
 
         def tried(approaches: Approach) -> tuple[Array, Array]:
             behind = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), approaches)
             controls, costs = follow(behind)
             controls = jnp.moveaxis(controls, -1, 0)
-            return controls, costs + self._switching(before, controls)
+            return controls, costs + planner.switching(problem.guess, controls)
 
         up = against_gravity(scene.nodes, scene.model.dimension)
         holds = any(each.holds for each in scene.model.inference.edge_types)
@@ -182,7 +141,8 @@ class _Scene(eqx.Module):
     """m; see `level_reach`."""
 
     @classmethod
-    def of(cls, model: StepModel, state: ModelState, nodes: Nodes, cost: QuadraticCost) -> "_Scene":
+    def of(cls, problem: PlanningProblem) -> "_Scene":
+        model, state, nodes = problem.model, problem.state, problem.nodes
         assert isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
         speed = model.features.speed
         return cls(
@@ -190,7 +150,7 @@ class _Scene(eqx.Module):
             speed=speed,
             state=state,
             nodes=nodes,
-            cost=cost,
+            cost=problem.cost,
             free=FreeMotion.of(model, state, nodes, speed),
             reach=level_reach(nodes, state.position, model.features.turn_length),
         )

@@ -1,0 +1,1 @@
+"""Proposals of starts for `MultiStartILQR`; `contactgraph.control` has their names."""

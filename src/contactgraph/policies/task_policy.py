@@ -1,0 +1,169 @@
+"""MPC as the policy of a task: its planner, cost, sensor and limits."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from contactgraph.control import (
+    ILQR,
+    MPC,
+    ActiveSetMPC,
+    Approaches,
+    ChangingSchedules,
+    ConstantSchedule,
+    ControlLimits,
+    MultiStartILQR,
+    Planner,
+    Proposal,
+    Routes,
+    ShortPlans,
+)
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import Task
+from contactgraph.model import (
+    ContactSensor,
+    MotionNoise,
+    StepModel,
+    default_sensor,
+    turn_length_of,
+)
+from contactgraph.model.scene import check_fit
+from contactgraph.policies.mpc_policy import MPCPolicy
+from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
+from contactgraph.policies.task_cost import AvoidingCost, SceneCost, TaskCost
+
+PlannerFactory = Callable[..., Planner]
+"""Called with the keywords ``horizon`` [steps] and ``limits``, a `ControlLimits`."""
+
+_EXACT = SensorFaults()
+_NOISELESS = ObservationNoise()
+_LEAP_ROLLOUTS = 3
+"""More rollouts for a plan with switches: a schedule that leaps pays after seven or eight only."""
+
+
+def switches_of(scene: Scene) -> tuple[int, ...]:
+    """The components of the control that are switches."""
+    return tuple(each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch")
+
+
+def task_policy(
+    model: StepModel,
+    task: Task,
+    *,
+    seed: int = 0,
+    cost: SceneCost | None = None,
+    horizon: int = 20,
+    iterations: int = 5,
+    starts: int = 0,
+    routes: int = 0,
+    segment: int = 0,
+    clearance: float | None = None,
+    replan_every: int = 1,
+    deadline: float | None = None,
+    sensor: ContactSensor | None = None,
+    faults: SensorFault = _EXACT,
+    measured: bool = True,
+    noise: ObservationNoise = _NOISELESS,
+    motion_noise: MotionNoise | None = None,
+    node_capacity: int = 0,
+    planner: PlannerFactory | None = None,
+) -> MPCPolicy:
+    """MPC with this model, for a task: a policy for `contactgraph.evaluate.control_task`.
+
+    The task is reset to the scene of ``seed``, and the policy serves all its scenes.
+    ``cost`` None is the task's own; the limits of each component of the control are those of the
+    task's action space. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s and `MPC`'s,
+    ``starts``, ``routes`` and ``segment`` those of `Approaches`, `Routes` and `ShortPlans` (0:
+    none). ``planner`` makes another planner in place of all of these, by the keywords ``horizon``
+    and ``limits``. ``clearance`` [m] adds an `AvoidingCost` with this gap to bodies that the task
+    does not name. ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s.
+
+    ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
+    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
+    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
+    ``motion_noise`` is `MPC`'s; ``noise`` is added to the observed motion.
+
+    Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
+    control, or a number is out of range.
+    """
+    observation, _ = task.reset(seed=seed)
+    limits = _limits(task)
+    control_size = len(limits.lower)
+    check_fit(model, task.scene, control_size, "the task")
+    terms = task.cost_terms()
+    if sensor is None:
+        sensor = default_sensor(model) if faults.exact else faults.sensor
+    if planner is None:
+        planner = partial(_planner, model, task, iterations, starts, routes, segment)
+    mpc = MPC(
+        model,
+        planner(horizon=horizon, limits=limits),
+        replace(sensor, reports_touch="holding" not in observation),
+        replan_every,
+        deadline,
+        motion_noise=motion_noise,
+    )
+    turns = turn_length_of(model) is not None
+    own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
+    scene_cost, candidates = (own_cost, terms.candidates) if cost is None else (cost, ())
+    if clearance is not None:
+        scene_cost = AvoidingCost(scene_cost, clearance, candidates=candidates)
+    size = scene_cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    if size != control_size:  # before compilation
+        raise InvalidInputError(
+            f"the cost is for control size U {size}, but the task has {control_size}; they must "
+            "agree"
+        )
+    mpc = ActiveSetMPC(mpc)
+    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, candidates)
+
+
+def _planner(
+    model: StepModel,
+    task: Task,
+    iterations: int,
+    starts: int,
+    routes: int,
+    segment: int,
+    *,
+    horizon: int,
+    limits: ControlLimits,
+) -> Planner:
+    """Of the options of `mpc_policy`; a task's switches add their schedules."""
+    proposals: list[Proposal] = []
+    if starts:
+        proposals.append(Approaches(starts))
+    if routes:
+        speed = getattr(getattr(model, "features", None), "speed", 1.0)
+        proposals.append(Routes(routes, speed))
+    if segment:
+        stride = next(each for each in (5, 4, 3, 2, 1) if horizon % each == 0 and each <= segment)
+        proposals.append(ShortPlans(segment, stride))
+    switches = switches_of(task.scene)
+    for each in switches:
+        constant = ConstantSchedule(each, False), ConstantSchedule(each, True)
+        proposals += [*constant, ChangingSchedules(each)]
+    size = len(limits.lower)
+    commands = getattr(getattr(model, "inference", None), "commands", 0)
+    if not proposals:
+        return ILQR(horizon, iterations, limits)
+    return MultiStartILQR(
+        horizon,
+        iterations + _LEAP_ROLLOUTS * bool(switches),
+        limits,
+        proposals=tuple(proposals),
+        held=tuple(sorted({*switches, *range(size - commands, size)})),
+        switching_cost=task.cost_terms().switching_cost,
+    )
+
+
+def _limits(task: Task) -> ControlLimits:
+    """[U] each; raises `InvalidInputError` where the task takes no control."""
+    box: Any = task.action_space
+    if not np.size(box.low):
+        raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
+    return ControlLimits(jnp.asarray(box.low.ravel()), jnp.asarray(box.high.ravel()))
