@@ -73,7 +73,9 @@ class Reproduce:
         seconds = math.inf if self.hours is None else 3600.0 * self.hours
         restored = [*study.kept_jobs, *(study.jobs if self.resume else ())]
         records = JobRecords(folder, version("contactgraph"))
-        records.restore(restored, self._kept(folder))
+        published = _PUBLISHED / f"{self.study}.json"
+        for kept in (folder / "results.json", *([published] if self._publishes else ())):
+            records.restore(restored, kept)
         with self._executor() as executor:
             failures = run_reported(study.jobs, records, executor, seconds)
             cores = executor.workers
@@ -123,11 +125,6 @@ class Reproduce:
 
             return Path("build") / "gate" / sources_digest()
         return Path("build") / ("quick" if self.quick else "") / self.study
-
-    def _kept(self, folder: Path) -> Path:
-        """The readings of an earlier run in the folder, or those that are published."""
-        own = folder / "results.json"
-        return own if own.exists() or not self._publishes else _PUBLISHED / f"{self.study}.json"
 
     def _command(self) -> str:
         quick = " --quick" if self.quick else ""

@@ -243,6 +243,11 @@ def test_a_study_is_published_and_goes_on_from_what_is_kept(fake: Path) -> None:
     (fake / "build").rename(fake / "lost as well")
     assert cli.run([*command, "--resume"]) == 0
     assert (tables / "results.md").read_text() == table, "published numbers of both are kept"
+    (fake / "build").rename(fake / "lost again")
+    elsewhere = ["--out", str(fake / "build" / "results")]
+    assert cli.run(["reproduce", "results", "--only", "billiards", "--seeds", "1", *elsewhere]) == 0
+    assert cli.run(["reproduce", "results", "--only", "billiards", "--seeds", "1"]) == 0
+    assert (tables / "results.md").read_text() == table, "though a run there knew nothing of pickup"
 
 
 def test_a_failed_job_leaves_its_row_with_a_reason(
