@@ -33,9 +33,12 @@ class Fetch(gymnasium.Env):
         self._x = np.array([[0.0, 0.0], self.np_random.uniform([0.3, -0.2], [0.5, 0.2])])
         self._v = np.zeros((2, 2))
         self._goal = self.np_random.uniform([0.6, -0.6], [0.9, 0.6])
-        names, actuated = ("cart", "box"), np.array([True, False])
         self.scene = Scene(
-            node_name=names, node_type=names, actuated=actuated, dt=DT, goal=self._goal
+            node_name=("cart", "box"),
+            node_type=("gripper", "object"),  # of the model that is to control it
+            actuated=np.array([True, False]),
+            dt=DT,
+            goal=self._goal,
         )
         return self._observation(), {}
 
