@@ -198,6 +198,24 @@ def test_a_policy_gets_the_seeds_of_a_model():
     assert np.allclose(runs[0].position[6, 0], (0.3, -0.2)) and runs[0].position[5, 0, 0] < 0.26
 
 
+def test_metrics_of_ones_own_are_measured_beside_the_others():
+    """A name that is taken is refused before an episode runs."""
+    task = HandTask("displacement", [-1, -1], [1, 1], (0.0, 0.0), (0.3, -0.2))
+    names = {"first_x_m": lambda run: float(run.position[0, 0, 0]), "unknown": lambda run: None}
+    result = control_task(RestPolicy(), task, 2, 7, metrics=names)
+    values = result.to_json()
+    assert values["first_x_m"] == 0.0 and values["first_x_m_by_episode"] == [0.0, 0.0]
+    assert values["unknown"] is None and values["success_rate"] == 0.0
+
+    class Never(RestPolicy):
+        def reset(self, scene, seed):
+            pytest.fail("an episode has begun")
+
+    for taken in ("success_rate", "planned_windows", "edge_f1_found"):
+        with pytest.raises(InvalidInputError, match=f"new names, found '{taken}'"):
+            control_task(Never(), task, 2, 7, metrics={taken: len})
+
+
 def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
     class Chosen(StickyTask):
         def cost_terms(self):

@@ -47,8 +47,7 @@ demonstrations made: a plan that ends before their benefit would hover before th
 
 _RECORDED = (
     *("cost", "horizon", "iterations", "starts", "routes", "segment", "planner", "clearance"),
-    "replan_every",
-    *("false_alarms", "misses", "delay", "fault", "unmeasured"),
+    *("replan_every", "false_alarms", "misses", "delay", "fault", "unmeasured"),
     *("position_noise", "velocity_noise", "inference"),
 )
 """Options that only a model takes; the JSON file repeats them."""
@@ -67,11 +66,11 @@ class _Controller:
     policy: "Policy"
     settings: Mapping[str, Any]
     """By JSON key."""
+    drawn: "Callable[[str, Trajectory, EpisodeRecord | None], SceneTrajectory]"
     how: str = ""
     """One line on how it plans."""
     predictor: "Callable[[Dataset], OpenLoopMetrics] | None" = None
     """Measures predictions of executed episodes; None: it predicts nothing."""
-    drawn: "Callable[[str, Trajectory, EpisodeRecord | None], SceneTrajectory] | None" = None
 
 
 @dataclass(frozen=True)
@@ -246,7 +245,8 @@ class Control:
         if starts is None:
             starts = HIDDEN_HOLD_STARTS if self.hidden_switch else known_starts
             starts = starts if searches(model) and not routes + self.segment else 0
-        search = f"iLQR from the best of {starts} approaches" if starts else "iLQR"
+        tried = {"approaches": starts, "routes": routes, "steps of short plans": self.segment}
+        search = "; ".join(["iLQR", *(f"{n} {what}" for what, n in tried.items() if n)])
         by_motion = motion_evidence(model, self.ignore_motion, noise.position, noise.velocity)
         policy = task_policy(
             model,
@@ -278,11 +278,11 @@ class Control:
         return _Controller(
             policy,
             settings,
-            f"plans, {horizon} steps ahead".ljust(27) + f"{self.planner or search} ({reason})",
-            partial(evaluate_open_loop, model, faults=fault, motion_noise=by_motion),
             lambda name, trajectory, record: scene_trajectory(
                 model, name, trajectory, None if record is None else record.plan
             ),
+            f"plans, {horizon} steps ahead".ljust(27) + f"{self.planner or search} ({reason})",
+            partial(evaluate_open_loop, model, faults=fault, motion_noise=by_motion),
         )
 
     def _script(self) -> _Controller:
@@ -305,5 +305,5 @@ class Control:
         return _Controller(
             (fixed_start or known.demonstrator)(),
             dict.fromkeys((*_RECORDED, "infer_contacts")),
-            drawn=lambda name, trajectory, _: recorded_scene(name, trajectory),
+            lambda name, trajectory, _: recorded_scene(name, trajectory),
         )

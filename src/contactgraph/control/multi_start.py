@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -107,17 +108,14 @@ class MultiStartILQR(ILQR):
         proposed = [each(problem) for each in self.proposals]
         iterations = self.iterations if all(each.improved for each in proposed) else 1
 
-        def begun(guess: AffinePolicy, leap: Array) -> Progress:
-            return self.begun(model, state, nodes, quadratic, guess, leap)
+        about = model, state, nodes, quadratic
 
         def searched(progress: Progress, rollouts: int) -> Progress:
-            def search(each: Progress) -> Progress:
-                return self.search(model, state, nodes, quadratic, each, rollouts)
-
+            search = partial(self.search, *about, iterations=rollouts)
             return in_lanes(search, progress.cost.size)(progress)
 
         running = Starts(jax.tree.map(lambda leaf: leaf[..., None], guess))
-        progress, counts = _side_by_side([running, *proposed], begun)
+        progress, counts = _side_by_side([running, *proposed], partial(self.begun, *about))
         tried = jnp.zeros((), jnp.int32)
         if max(counts) > 1:
             rounds = [(1, _LANES)] if sum(counts[1:]) > _LANES else []

@@ -14,6 +14,7 @@ from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_conta
 from contactgraph.evaluate.plan_tracking import PlanTrackingError, plan_tracking_error
 from contactgraph.evaluate.statistics import wilson_interval
 from contactgraph.policies.episode_record import EpisodeRecord, RecordingPolicy
+from contactgraph.policies.task_policy import limits_of
 
 _NO_TRACKING = PlanTrackingError()
 _NO_ESTIMATES = EstimatedContacts()
@@ -108,11 +109,15 @@ def control_task(
     metric has the name of a built-in one.
     """
     seeds = episode_seeds(episodes, seed)
-    if not np.size(task.action_space.low):
-        raise InvalidInputError("the task takes no control (U = 0), so nothing can control it")
+    limits_of(task)  # a task that takes no control is refused
     trajectories: list[Trajectory] = []
     succeeded, chains, plan_ms = [], [], [np.zeros(0)]
     planned, estimated = PlanTrackingError(), EstimatedContacts()
+    own = {name: list[float | None]() for name in metrics or {}}
+    built_in = {each.name for each in fields(ClosedLoopMetrics)}
+    taken = sorted(own.keys() & {*built_in, *planned.to_json(), *estimated.to_json()})
+    if taken:
+        raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
     for each in seeds:
         trajectory = run_episode(task, policy, each)
         trajectories.append(trajectory)
@@ -127,15 +132,12 @@ def control_task(
             labelled = trajectory if holding is None else replace(trajectory, contact=holding)
             planned += plan_tracking_error(labelled, record)
             estimated += estimated_contacts(trajectory, record.estimated)
+        for name, measure in (metrics or {}).items():
+            own[name].append(measure(trajectory))
         if on_episode is not None:
             on_episode(trajectory, record)
     done = trajectories, succeeded, chains, seed, np.concatenate(plan_ms)
-    found = closed_loop_metrics(*done, planned, estimated, seeds)
-    taken = sorted(found.to_json().keys() & (metrics or {}).keys())
-    if taken:
-        raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
-    more = {name: [of(each) for each in trajectories] for name, of in (metrics or {}).items()}
-    return ControlResult(trajectories, found, more)
+    return ControlResult(trajectories, closed_loop_metrics(*done, planned, estimated, seeds), own)
 
 
 def closed_loop_metrics(

@@ -57,7 +57,7 @@ def fit_sizes(
     """By type, half of the distance at which two such round bodies strike each other, m.
 
     Least squares over pairs of types, of the distances of their impacts; pairs of which fewer than
-    two are seen, or whose impacts do not agree, are left out, and types that no other pair tells.
+    two are seen, or whose impacts do not agree, are left out. Empty if these leave a size open.
     """
     agreeing = {
         pair: float(np.median(far))

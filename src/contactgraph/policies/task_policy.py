@@ -91,7 +91,7 @@ def task_policy(
     control, or a number is out of range.
     """
     observation, _ = task.reset(seed=seed)
-    limits = _limits(task)
+    limits = limits_of(task)
     control_size = len(limits.lower)
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
@@ -118,8 +118,8 @@ def task_policy(
             f"the cost is for control size U {size}, but the task has {control_size}; they must "
             "agree"
         )
-    mpc = ActiveSetMPC(mpc)
-    return MPCPolicy(mpc, scene_cost, node_capacity, faults, measured, noise, candidates)
+    active = ActiveSetMPC(mpc)
+    return MPCPolicy(active, scene_cost, node_capacity, faults, measured, noise, candidates)
 
 
 def _planner(
@@ -133,7 +133,7 @@ def _planner(
     horizon: int,
     limits: ControlLimits,
 ) -> Planner:
-    """Of the options of `mpc_policy`; a task's switches add their schedules."""
+    """Of the options of `task_policy`; a task's switches add their schedules."""
     proposals: list[Proposal] = []
     if starts:
         proposals.append(Approaches(starts))
@@ -161,7 +161,7 @@ def _planner(
     )
 
 
-def _limits(task: Task) -> ControlLimits:
+def limits_of(task: Task) -> ControlLimits:
     """[U] each; raises `InvalidInputError` where the task takes no control."""
     box: Any = task.action_space
     if not np.size(box.low):
