@@ -25,6 +25,7 @@ LIBRARY = (
         "train",
         "control",
         "envs",
+        "policies",
         "evaluate",
         "viz",
         "plot",

@@ -124,11 +124,6 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ("control nobody pickup --routes 1001", "--routes must be 0 to 1000, found 1001"),
         ("control nobody pickup --segment 21", "--segment must be 0 to 20, found 21"),
         (
-            "control pickup pickup --segment 20 --routes 3",
-            "a plan has one of starts, routes, a segment and a task's switches, found starts 0, "
-            "routes 3, segment 20 and switches []",
-        ),
-        (
             "control franka franka --clearance 0.1 --routes 0",
             "a clearance from bodies needs their radius, which the scene has not; with a ",
         ),
