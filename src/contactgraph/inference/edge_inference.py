@@ -29,6 +29,8 @@ _TOUCHES, _STAYS_FREE = 3.0, 10.0
 """Log odds, beside those of geometry, that a touch of bodies without a gap lasts, and that such
 bodies which are free stay so while they do not approach each other. They are not learned: motion
 hardly tells a touch from none."""
+_SURE = 20.0
+"""Log odds that count as certain, either way; gradients of products of more overflow."""
 _MIN_PROBABILITY, _SMALLEST = 1e-6, 1e-24
 
 
@@ -245,31 +247,33 @@ class DurationEdges(EdgeInference):
         """T: the probability of each type after the step, given type and age before it."""
         (edges, count), (limit, steeper) = prior.shape, _PACE * self.strength
         features, (pull, approaches, gap) = embedding[:, :-3], embedding[:, -3:].T
-        log_prior = jnp.log(jnp.maximum(prior, _MIN_PROBABILITY))
-        log_meets = jnp.log(jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY))
+        meets = jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY)
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
         touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
         # A hold lasts wherever its ends are driven, and begins where they meet.
         odds = _PACE * jnp.einsum("khf,ef->ekh", self.coefficients, features)
         odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
-        odds = jnp.pad(odds[:, :, None] + _PACE * self.odds, [(0, 0)] * 3 + [(1, 0)])
-        lasts = holds == np.arange(count)[:, None, None]
-        held = jax.nn.log_softmax(odds)[..., 1:]
-        held += jnp.where(lasts, 0.0, log_meets[:, None, None, None])
+        # Exponentials of each summand alone: there are many ages, and few sums of features.
+        odds, by_age = (jnp.exp(jnp.clip(x, -_SURE, _SURE)) for x in (odds, _PACE * self.odds))
+        held = odds[:, :, None] * by_age
+        held /= 1.0 + jnp.sum(held, axis=-1, keepdims=True)
         # A strong pull ends it, whatever the odds.
         excess = jnp.log(jnp.maximum(pull, _MIN_PROBABILITY))[:, None, None] - limit
-        held -= jax.nn.softplus((2.0 + jnp.exp(steeper)) * excess)[:, :, None]
+        stays = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)
+        lasts = holds == np.arange(count)[:, None]
+        held *= (stays * jnp.where(lasts, 1.0, meets[:, None, None]))[:, :, None]
         # Geometry says whether bodies that are not held touch.
         stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
         stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
         others = jnp.where(gap[:, None] > 0, 0.0, stays)[:, None] * np.eye(count)
-        others = others.at[..., touches].add(log_meets[:, None, None])
-        others = others.at[..., 0].add(log_prior[:, :1])
-        others = jax.nn.log_softmax(others, where=np.isin(np.arange(count), holds, invert=True))
-        none_held = 1.0 - jnp.sum(jnp.exp(held), axis=-1, keepdims=True)
-        others = others[:, :, None] + jnp.log(jnp.maximum(none_held, _SMALLEST))
+        others = others.at[..., touches].add(jnp.log(meets)[:, None, None])
+        others = others.at[..., 0].add(jnp.log(jnp.maximum(prior[:, :1], _MIN_PROBABILITY)))
+        others = jax.nn.softmax(others, where=np.isin(np.arange(count), holds, invert=True))
+        none_held = 1.0 - jnp.sum(held, axis=-1, keepdims=True)
+        after = (others[:, :, None] * none_held).at[..., holds].set(held)
         least = self.min_transition * jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])
-        return _bounded_softmax(others.at[..., holds].set(held), least[:, None, None])
+        least = least[:, None, None]
+        return least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * after
 
     def predict(
         self, belief: ContactBelief, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
@@ -281,13 +285,6 @@ class DurationEdges(EdgeInference):
         types = jnp.sum(joint, axis=1)
         memory = EdgeAges(_normalised(table))
         return ContactBelief(types, memory=memory, edge_types=self.edge_types), joint
-
-
-def _bounded_softmax(
-    logits: Float[Array, "E K A K"], least: Float[Array, "E 1 1 K"]
-) -> Float[Array, "E K A K"]:
-    """Softmax, at least ``least``."""
-    return least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * jax.nn.softmax(logits)
 
 
 def smoothed_flows(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from contactgraph.bodies.geometry import Meeting
+from contactgraph.bodies.geometry import Meeting, geometry
 from contactgraph.bodies.graph import EncodedGraph
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.trajectory_batch import Nodes
@@ -127,7 +127,7 @@ def edge_log_ratios(
     """
 
     bodies = graph.bodies
-    apart = _begun_apart(model, graph, observed[0])
+    apart = _begun_apart(model, graph, observed)
 
     def moved(types: Float[Array, "E K"]) -> Motion:
         return motion_given_types(
@@ -170,13 +170,16 @@ def edge_log_ratios(
 
 
 def _begun_apart(
-    model: ContactDynamics, graph: EncodedGraph, position: Float[Array, "N G"]
+    model: ContactDynamics, graph: EncodedGraph, observed: Motion
 ) -> Float[Array, "E K K"]:
-    """What ``position`` [m] after the step says against contacts that begin in it: bodies that are
-    apart then have not met, such as where another contact was in the way."""
-    meeting = model.features.meeting(graph.bodies.nodes, position, graph.geometry.edge_index)
-    distance = jnp.linalg.norm(meeting.displacement[: len(graph.weight)], axis=-1)
-    near = model.prior(dataclasses.replace(graph.geometry, closest_approach=distance))
+    """What the motion after the step says against contacts that begin in it: bodies that are apart
+    then, and that do not come from each other, have not met, such as where another contact was in
+    the way."""
+    position, velocity = observed
+    points = model.features.meeting(graph.bodies.nodes, position, graph.geometry.edge_index)
+    back = geometry(points, velocity=-velocity, coasting=-velocity, dt=model.dt, contact_distance=0)
+    nearest = back.closest_approach[: len(graph.weight)]
+    near = model.prior(dataclasses.replace(graph.geometry, closest_approach=nearest))
     contact = np.array([False, *(each.contact for each in graph.edge_types)])
     # Squared, since its bound stands for forces that are not known.
     return jnp.where(np.outer(~contact, contact), 2.0 * jnp.log(near)[:, None, None], 0.0)
