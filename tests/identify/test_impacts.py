@@ -1,16 +1,15 @@
-"""Bounce, friction, sizes and ratios of masses, from the motion of discs alone."""
+"""Bounce, friction and ratios of masses, from the motion of discs alone."""
 
 from functools import partial
 
-import jax
 import numpy as np
 import pytest
 
-from contactgraph.data import Dataset, Scene, Trajectory, pair_indices
+from contactgraph.data import Dataset, Scene, Trajectory
 from contactgraph.envs import BilliardsTask, DoorExpert, DoorTask, RestPolicy, StrikingPolicy
 from contactgraph.evaluate import collect
-from contactgraph.identify import fit_actuation, fit_impacts, fit_sizes, identify
-from contactgraph.model import ActuationFit, ours, scene_nodes
+from contactgraph.identify import fit_actuation, fit_impacts, identify
+from contactgraph.model import ActuationFit
 from contactgraph.model.presets import PLANE
 
 
@@ -70,18 +69,3 @@ def test_a_hinged_body_is_not_taken_for_a_point() -> None:
     assert not identify(Dataset(tuple(doors))).config.slowing, (
         "its middle slows down because it turns"
     )
-
-
-def test_impacts_tell_the_sizes_of_round_bodies() -> None:
-    """Balls, pucks and pillars of 4, 6 and 6 cm, of which few meet: training alone does not."""
-    dataset = Dataset(tuple(collect([partial(BilliardsTask, passive=True)], [RestPolicy()], 40, 0)))
-    sizes = fit_sizes(dataset, {})
-    assert sizes.keys() == {"ball", "pillar", "puck"}
-    for name, radius in (("ball", 0.04), ("pillar", 0.06), ("puck", 0.06)):
-        assert sizes[name] == pytest.approx(radius, rel=0.02)
-    config = identify(dataset).config
-    model = ours(config, key=jax.random.key(0))
-    scene = dataset.trajectories[0].scene
-    edges = pair_indices(scene.node_count).T
-    touching = model.features.distances(scene_nodes(scene), edges, np.float32)
-    np.testing.assert_allclose(touching, scene.radius[edges].sum(axis=0), rtol=0.03)

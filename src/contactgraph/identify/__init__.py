@@ -10,4 +10,3 @@ from contactgraph.identify.free_motion import fit_actuation as fit_actuation
 from contactgraph.identify.free_motion import fit_slowing as fit_slowing
 from contactgraph.identify.free_motion import fit_theta as fit_theta
 from contactgraph.identify.impacts import fit_impacts as fit_impacts
-from contactgraph.identify.impacts import fit_sizes as fit_sizes

@@ -21,7 +21,7 @@ from contactgraph.identify.free_motion import (
     fit_slowing,
     fit_theta,
 )
-from contactgraph.identify.impacts import fit_impacts, fit_sizes
+from contactgraph.identify.impacts import fit_impacts
 from contactgraph.identify.shapes import (
     CONTACT_DISTANCE,
     all_outlined,
@@ -100,7 +100,7 @@ class Facts:
         """With this one, m in the units of the data, in place of the data's. It is learned from
         there, but where velocities are means over a step, which do not tell when in it bodies
         met."""
-        config = replace(self.config, contact_distance=distance / self.units.length, sizes={})
+        config = replace(self.config, contact_distance=distance / self.units.length)
         learned = not config.averaged
         return replace(self, config=replace(config, learned_contact_distance=learned))
 
@@ -207,8 +207,6 @@ def identify(dataset: Dataset, contact_distance: float | None = None) -> Facts:
     # Of means over a step nothing tells the velocities before and after; and those of bodies that
     # turn, nothing but the whole step.
     impacts = {} if averaged or config.inertia else fit_impacts(dataset, actuation)
-    round_ = config.learned_contact_distance and not (config.boxes or config.inertia or averaged)
-    sizes = fit_sizes(dataset, actuation) if round_ else {}
     planes = plane_distances(dataset, config.inertia)
     rubs = bool(averaged or config.inertia or planes)
     rubs |= any(each.friction is not None for each in impacts.values())
@@ -230,7 +228,6 @@ def identify(dataset: Dataset, contact_distance: float | None = None) -> Facts:
         theta=float(np.clip(0.5 + substeps * (theta - 0.5), 0.51, 0.99)),
         substeps=substeps,
         slowing={name: each for name, each in slowing.items() if name not in borne},
-        sizes={name: 2.0 * half / config.contact_distance for name, half in sizes.items()},
         impacts=impacts,
         varying_mass=masses_vary(dataset),
         rough=rubs or slides or bounces,

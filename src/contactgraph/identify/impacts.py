@@ -1,4 +1,4 @@
-"""Bounce, friction, masses and sizes from impacts that trajectories show, before any training."""
+"""Bounce, friction and masses from impacts that trajectories show, before any training."""
 
 from collections.abc import Iterable, Iterator, Mapping
 
@@ -18,8 +18,7 @@ _STRAIGHT = 0.1
 """Of the way in a step: how far paths before and after an impact may miss each other."""
 _MOSTLY = 0.9
 """Cosine of the angle between the change of velocity and the normal, at least."""
-_LEAST_IMPACTS, _AGREE = 10, 0.02
-"""And the standard deviation of their distances, in units of the median, at most."""
+_LEAST_IMPACTS = 10
 _ALONG, _LEAST_STEPS, _SPREAD = 0.02, 50, 0.2
 """Relative speed, in units of the greatest, up to which one body carries another; how many steps
 must tell the ratio of masses; and how far the middle half of them may differ."""
@@ -34,54 +33,25 @@ def fit_impacts(
 
     Robust fits over impacts of bodies that no servo moves, and none hinged, with each other and
     with planes.
-    Straight paths before and after tell time, distance and normal; the relative velocity tells
-    bounce and friction (up to 0.48), whatever the masses, and momentum tells the ratio of masses.
-    Pairs of which fewer than ten impacts are seen are left out.
+    Straight paths before and after tell time and normal; the relative velocity tells bounce and
+    friction (up to 0.48), whatever the masses, and momentum tells the ratio of masses. Pairs of
+    which fewer than ten impacts are seen are left out.
     """
     drives = driving_components(trajectories)
+    struck: dict[tuple[str, str], list[np.ndarray]] = {}
     carried: dict[tuple[str, str], list[np.ndarray]] = {}
     for each in trajectories:
-        for pair, rows in _carried(each, _pushed(each, actuation, drives)):
+        pushed = _pushed(each, actuation, drives)
+        for pair, row in _impacts(each, pushed):
+            struck.setdefault(pair, []).append(row)
+        for pair, rows in _carried(each, pushed):
             carried.setdefault(pair, []).append(rows)
     ratios = {pair: _mass_ratio(np.concatenate(found)) for pair, found in carried.items()}
     laws = {pair: Impacts(0.0, None, ratio) for pair, ratio in ratios.items() if ratio}
-    for pair, found in _struck(trajectories, actuation).items():
+    for pair, found in struck.items():
         if len(found) >= _LEAST_IMPACTS:
             laws[pair] = _fitted(np.array(found))
     return laws
-
-
-def fit_sizes(
-    trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
-) -> dict[str, float]:
-    """By type, half of the distance at which two such round bodies strike each other, m.
-
-    Least squares over pairs of types, of the distances of their impacts; pairs of which fewer than
-    two are seen, or whose impacts do not agree, are left out. Empty if these leave a size open.
-    """
-    agreeing = {
-        pair: float(np.median(far))
-        for pair, rows in _struck(trajectories, actuation).items()
-        if PLANE not in pair and len(far := np.array(rows)[:, -1]) > 1
-        if np.std(far) < _AGREE * np.median(far)
-    }
-    names = sorted({name for pair in agreeing for name in pair})
-    rows = np.array([[pair.count(name) for name in names] for pair in agreeing])
-    if not names or np.linalg.matrix_rank(rows) < len(names):
-        return {}
-    sizes = np.linalg.lstsq(rows, np.array([*agreeing.values()]))[0]
-    return dict(zip(names, sizes.tolist(), strict=True)) if sizes.min() > 0.0 else {}
-
-
-def _struck(
-    trajectories: Iterable[Trajectory], actuation: Mapping[str, ActuationFit]
-) -> dict[tuple[str, str], list[list[float]]]:
-    """All `_impacts` by pair of types."""
-    drives, struck = driving_components(trajectories), dict[tuple[str, str], list[list[float]]]()
-    for each in trajectories:
-        for pair, row in _impacts(each, _pushed(each, actuation, drives)):
-            struck.setdefault(pair, []).append(row)
-    return struck
 
 
 def _pushed(
@@ -133,10 +103,9 @@ def _mass_ratio(rows: np.ndarray) -> float | None:
     return float(middle) if high - low < _SPREAD * middle else None
 
 
-def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, str], list[float]]]:
+def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, str], np.ndarray]]:
     """Of every impact the types; and in units of the greatest speed the approach, the parting, the
-    speeds across the normal before and after; the ratio of masses; and the distance, m; NaN for
-    none."""
+    speeds across the normal before and after; and the ratio of masses, NaN for none."""
     scene, kind = each.scene, each.scene.node_type
     unit = float(np.linalg.norm(each.velocity, axis=-1).max(initial=0.0)) or 1.0
     # As if forces acted in the middle of a step, half before the impact and half after it.
@@ -153,23 +122,20 @@ def _impacts(each: Trajectory, pushed: np.ndarray) -> Iterator[tuple[tuple[str, 
         for other in struck[1:] if len(struck) == 2 else fixed:
             first, second = sorted((one, other), key=lambda node: kind[node])
             relative = v[:, second] - v[:, first]
-            place = _place(x[:, second] - x[:, first], relative, scene.dt * unit)
-            far = float(np.linalg.norm(place))
-            normal = place / max(far, 1e-12)
+            normal = _normal(x[:, second] - x[:, first], relative, scene.dt * unit)
             change = np.diff(v[:, [first, second]] @ normal, axis=0)[0]
             ratio = -change[1] / change[0] if len(struck) == 2 and change[0] else np.nan
-            found.append((kind[first], kind[second], [*_along(relative, normal, ratio), far]))
+            found.append((kind[first], kind[second], _along(relative, normal, ratio)))
         if len(struck) == 1:
-            alone = ([*_along(v[:, one], n, np.nan), np.nan] for n in normals)
-            found += [(kind[one], PLANE, row) for row in alone]
+            found += [(kind[one], PLANE, _along(v[:, one], n, np.nan)) for n in normals]
         likely = [each for each in found if each[2][0] > _MEETS and each[2][1] > 0.0]
         if len(likely) == 1:
             yield likely[0][:2], likely[0][2]
 
 
-def _place(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndarray:
-    """[D] m, from displacements and relative velocities before and after: where straight paths
-    meet; zeros where they do not meet within the step."""
+def _normal(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndarray:
+    """[D] from displacements and relative velocities before and after: where straight paths meet;
+    zeros where they do not meet within the step."""
     (begin, end), (before, after) = displacement, velocity
     kink = before - after
     time = (end - begin - dt * after) @ kink / max(float(kink @ kink), 1e-12)
@@ -177,11 +143,11 @@ def _place(displacement: np.ndarray, velocity: np.ndarray, dt: float) -> np.ndar
     off = np.linalg.norm(place + (dt - time) * after - end)
     if not (0.0 <= time <= dt and off < _STRAIGHT * dt):
         return np.zeros_like(begin)
-    return np.asarray(place)
+    return np.asarray(place / max(float(np.linalg.norm(place)), 1e-12))
 
 
 def _along(velocity: np.ndarray, normal: np.ndarray, mass_ratio: float) -> np.ndarray:
-    """[5] of a row of `_impacts`; zeros where the change is not mostly along the normal."""
+    """[5] a row of `_impacts`; zeros where the change is not mostly along the normal."""
     before, after = velocity
     change = after - before
     if change @ normal < _MOSTLY * np.linalg.norm(change):
@@ -192,7 +158,7 @@ def _along(velocity: np.ndarray, normal: np.ndarray, mass_ratio: float) -> np.nd
 
 
 def _fitted(rows: np.ndarray) -> Impacts:
-    approach, parting, before, after, ratio, _ = rows.T
+    approach, parting, before, after, ratio = rows.T
     slides = (before > _MEETS) & (after > _MEETS)
     friction = None
     if slides.sum() >= _LEAST_IMPACTS:

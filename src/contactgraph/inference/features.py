@@ -110,7 +110,6 @@ class InvariantFeatures(Features):
         turning: tuple[str, ...] = (),
         turn_length: float | None = None,
         margin: float = 0.0,
-        sizes: tuple[float, ...] = (),
     ):
         """`learned`: whether the contact distance is.
 
@@ -120,7 +119,6 @@ class InvariantFeatures(Features):
         `boxes`: whether nodes that have a size are boxes; see `box_displacement`.
         `turning`: the types of bodies that turn; `turn_length` [m]: see `generalized_coordinates`,
         None where none does. `margin`: gap at which two outlines touch, m.
-        `sizes`: of bodies of each type before training; none: all are of one size.
         """
         # A product has no weak type, with which the first training update would recompile.
         self.contact_distance = length * jnp.ones(()) if learned else length
@@ -132,8 +130,7 @@ class InvariantFeatures(Features):
         self.turning = turning
         self.turn_length = turn_length
         self.margin = margin
-        relative = np.log(sizes or np.ones(len(types))) / _PACE
-        self.log_size = jnp.asarray(relative) * jnp.ones(len(types)) if types else None
+        self.log_size = 0.0 * jnp.ones(len(types)) if types else None
 
     @property
     def node_types(self) -> int:

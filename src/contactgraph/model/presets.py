@@ -104,9 +104,6 @@ class ModelConfig:
     """See `ContactDynamics`."""
     slowing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Deceleration, m/s^2, and damper, 1/s, by the ground at the start, by type; else nearly 0."""
-    sizes: Mapping[str, float] = field(default_factory=dict)
-    """By type, the distance at which two such round bodies touch, in units of `contact_distance`,
-    before training, which tells no more than a few percent of it. 1 for others."""
     impacts: Mapping[tuple[str, str], Impacts] = field(default_factory=dict)
     """Bounce, friction and ratios of masses at the start of training, of pairs of types."""
     averaged: bool = False
@@ -204,7 +201,6 @@ def ours(
         turning=tuple(config.inertia),
         turn_length=config.turn_length,
         margin=config.margin,
-        sizes=tuple(config.sizes.get(name, 1.0) for name in config.node_types),
     )
     size = features.edge_size(config.dimension)
     driving = config.driving_size
