@@ -68,8 +68,8 @@ ABLATIONS = (
     Ablation(
         "pulls that end holds",
         _EDGES,
-        "held -= jax.nn.softplus((2.0 + jnp.exp(steeper)) * excess)[:, :, None]",
-        "held -= 0.0 * jax.nn.softplus((2.0 + jnp.exp(steeper)) * excess)[:, :, None]",
+        "stays = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)",
+        "stays = jnp.ones_like(excess)",
     ),
     Ablation(
         "a touch ends at a gap",
@@ -117,8 +117,8 @@ ABLATIONS = (
     Ablation(
         "holds begin where bodies meet",
         _EDGES,
-        "held += jnp.where(lasts, 0.0, log_meets[:, None, None, None])",
-        "held += 0.0 * jnp.where(lasts, 0.0, log_meets[:, None, None, None])",
+        "jnp.where(lasts, 1.0, meets[:, None, None])",
+        "1.0",
     ),
     Ablation(
         "changes at any time of a step",
