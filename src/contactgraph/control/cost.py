@@ -94,8 +94,8 @@ class QuadraticCost(eqx.Module):
             return
         Q, weight = np.asarray(self.Q, np.float64), np.asarray(self.terminal_weight)
         for name, value in (("Q", Q), ("R", self.R), ("goal", self.goal)):
-            if not np.all(np.isfinite(value)):
-                raise InvalidInputError(f"{name} must be finite, found {np.asarray(value)}")
+            if len(unknown := np.argwhere(~np.isfinite(value))):
+                raise InvalidInputError(f"{name} must be finite, not so at {unknown[0].tolist()}")
         if not np.all(weight >= 0.0):
             raise InvalidInputError(f"terminal_weight must be at least 0, found {weight}")
         slack = _ROUNDING * np.max(np.abs(Q), initial=np.finfo(np.float32).tiny)
