@@ -68,8 +68,8 @@ ABLATIONS = (
     Ablation(
         "pulls that end holds",
         _EDGES,
-        "stays = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)",
-        "stays = jnp.ones_like(excess)",
+        "unbroken = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)",
+        "unbroken = jnp.ones_like(excess)",
     ),
     Ablation(
         "a touch ends at a gap",

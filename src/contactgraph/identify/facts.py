@@ -100,9 +100,9 @@ class Facts:
         """With this one, m in the units of the data, in place of the data's. It is learned from
         there, but where velocities are means over a step, which do not tell when in it bodies
         met."""
-        config = replace(self.config, contact_distance=distance / self.units.length)
-        learned = not config.averaged
-        return replace(self, config=replace(config, learned_contact_distance=learned))
+        told, learned = distance / self.units.length, not self.config.averaged
+        config = replace(self.config, contact_distance=told, learned_contact_distance=learned)
+        return replace(self, config=config)
 
     def in_data_units(self, model: ContactDynamics, preset: Preset) -> ContactDynamics:
         """A model that ``preset`` made for `config`, as trained, for states and controls in the

@@ -259,9 +259,9 @@ class DurationEdges(EdgeInference):
         held /= 1.0 + jnp.sum(held, axis=-1, keepdims=True)
         # A strong pull ends it, whatever the odds.
         excess = jnp.log(jnp.maximum(pull, _MIN_PROBABILITY))[:, None, None] - limit
-        stays = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)
+        unbroken = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)
         lasts = holds == np.arange(count)[:, None]
-        held *= (stays * jnp.where(lasts, 1.0, meets[:, None, None]))[:, :, None]
+        held *= (unbroken * jnp.where(lasts, 1.0, meets[:, None, None]))[:, :, None]
         # Geometry says whether bodies that are not held touch.
         stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
         stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
