@@ -63,7 +63,7 @@ metrics = evaluate_open_loop(trained, with_distractors)
 own, unmoved = metrics["n_step_rmse_moving_m"], metrics["constant_velocity_rmse_moving_m"]
 print(f"half a second ahead, with distractors, bodies that move: {100 * own:.2f} cm")
 print(f"  without a model (constant velocity): {100 * unmoved:.2f} cm")
-print(f"  the verdict: {metrics.verdict}")
+print(f"  the verdict: {metrics['verdict']}")
 print(f"  contact edges (F1): {metrics['edge_f1'] or 0.0:.2f}")
 
 training = {"seed": 0, "steps": config.steps}

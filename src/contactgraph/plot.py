@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from contactgraph.control import Cost, LearnedCost
 from contactgraph.data import InvalidInputError, Scene, Trajectory
 from contactgraph.evaluate import OpenLoopMetrics
+from contactgraph.evaluate.metrics import json_key
 from contactgraph.model import ContactDynamics
 from contactgraph.viz import (
     ReportData,
@@ -66,9 +67,7 @@ def errors(metrics: OpenLoopMetrics) -> Figure:
     """Errors of the model and of its baselines, by kind of window."""
 
     def of(prediction: str, windows: str) -> list[float]:
-        inferred = "_inferred" * prediction.endswith("_inferred")
-        name = f"{prediction.removesuffix('_inferred')}_rmse{windows}{inferred}_m"
-        error = metrics.numbers.get(name)
+        error = metrics.numbers.get(json_key(prediction, f"n_step_rmse{windows}_m"))
         return [] if error is None else [100.0 * error]
 
     return error_figure(

@@ -70,3 +70,19 @@ def test_another_horizon(fresh: Path, interrupted: Callable) -> None:
     for options in ([], ["--horizon", "0.1"]):
         assert cli.run(["evaluate", "pickup", str(fresh), *options]) == 130
     assert [call.options["horizon_s"] for call in calls] == [None, 0.1]
+
+
+def test_a_prediction_of_ones_own_stands_beside_the_others(
+    fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mistake: Callable
+) -> None:
+    path, module = tmp_path / "out.json", "contactgraph.evaluate.baselines"
+    command = ["evaluate", "pickup", str(fresh), "--ignore-motion", "--prediction"]
+    assert cli.run([*command, f"{module}:constant_rates", "--json", str(path)]) == 0
+    values = json.loads(path.read_text())
+    error = values["constant_rates_rmse_moving_m"]
+    assert error == values["constant_velocity_rmse_moving_m"] > 0.0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = (each for each in lines if each.startswith("constant_rates "))
+    assert f"{100 * error:.3f} cm" in line
+    said = mistake(*command, f"{module}:standing_still")
+    assert said.startswith("predictions must have new names, found 'standing_still'")

@@ -106,7 +106,8 @@ def test_one_step_ahead_and_at_the_end_of_the_window() -> None:
 
 def test_padding_does_not_count() -> None:
     runs = random_run(2, 6, 0), random_run(3, 11, 1)
-    found = evaluate_open_loop(Fades(), Dataset(runs), horizon_s=3 * DT).detail.unmeasured
+    evaluated = evaluate_open_loop(Fades(), Dataset(runs), horizon_s=3 * DT)
+    found = evaluated.predictions["n_step_unmeasured"]
     assert found.next_step.total == 6 + 3 * 11
     assert found.last_step.total == 4 + 3 * 9
 
@@ -131,7 +132,8 @@ def test_an_edge_within_the_cutoff_only_of_the_recording_counts_as_believed_abse
     position[:, 1, 0], velocity[:, 1, 0] = 0.13, 3.0
     contact = np.broadcast_to(~np.eye(2, dtype=bool), (7, 2, 2))
     run = replace(run, position=position, velocity=velocity, contact=contact)
-    found = evaluate_open_loop(model, Dataset((run,)), horizon_s=3 * DT).detail.unmeasured
+    evaluated = evaluate_open_loop(model, Dataset((run,)), horizon_s=3 * DT)
+    found = evaluated.predictions["n_step_unmeasured"]
     assert found.last_step.reliability is not None
     assert found.last_step.reliability[0] == [4, 0.0, 1.0]
 

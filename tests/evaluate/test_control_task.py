@@ -235,8 +235,8 @@ def test_diagnostics_match_the_controllers_beliefs():
     blind = model_diagnostics(model, run, node_capacity=4, measured=False)
     assert not np.allclose(blind.belief, insight.belief, atol=1e-2)
     # The first step of every open-loop window is the same prediction.
-    detail = evaluate_open_loop(model, Dataset((run,)), horizon_s=DT).detail
-    assert np.array_equal(detail.measured.edge_active[:, 0], insight.belief > 0.5)
+    found = evaluate_open_loop(model, Dataset((run,)), horizon_s=DT).predictions["n_step"]
+    assert np.array_equal(found.edge_active[:, 0], insight.belief > 0.5)
 
 
 def test_scene_nodes_pads_and_knows_candidates():

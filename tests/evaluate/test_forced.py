@@ -99,18 +99,19 @@ def test_the_last_windows_of_beginnings_are_the_windows_of_the_whole(model):
     every = evaluate_open_loop(model, Dataset((whole,)), horizon_s=3 * DT)
     ends = Dataset(tuple(beginning(steps) for steps in range(3, 9)))
     found = evaluate_open_loop(model, ends, horizon_s=3 * DT, last_window_of=[0] * 6)
-    assert found.runs == 1 and found.windows == every.windows == 6
-    assert found.detail.start.tolist() == every.detail.start.tolist()
+    assert found["runs"] == 1 and found["windows"] == every["windows"] == 6
+    assert found.recorded.start.tolist() == every.recorded.start.tolist()
     for name in ("squared_error", "edge_active"):
-        pair = (getattr(each.detail.measured, name) for each in (found, every))
+        pair = (getattr(each.predictions["n_step"], name) for each in (found, every))
         np.testing.assert_allclose(*pair, rtol=1e-5, atol=1e-9)
     same = (*(name for name in found.numbers if "rmse" in name), "calibration_error_ahead")
-    known = {name: every[name] for name in same if every[name] is not None}
+    known = {name: every[name] for name in same if isinstance(every[name], float)}
     assert {name: found[name] for name in known} == pytest.approx(known, rel=1e-5)
     # Of the steps in the windows, of which the whole has 8.
-    assert found.detail.measured.next_step.total == 6 * 3 * 3
-    assert every.detail.measured.next_step.total == 8 * 3
-    assert found.by_run == pytest.approx(every.by_run)
+    assert found.predictions["n_step"].next_step.total == 6 * 3 * 3
+    assert every.predictions["n_step"].next_step.total == 8 * 3
+    by_run = "n_step_rmse_moving_by_run_m"
+    assert found[by_run] == pytest.approx(every[by_run])
 
 
 def test_statistics_of_windows_by_hand():

@@ -123,7 +123,7 @@ def test_open_loop_errors_are_those_of_all_pairs(model, apart, monkeypatch, capl
     with caplog.at_level(logging.WARNING):
         near = evaluate_open_loop(model, apart, horizon_s=2 * DT)
     assert caplog.text.count("compiled again") == 1
-    assert near.diverged_windows == every.diverged_windows == 0
+    assert near["diverged_windows"] == every["diverged_windows"] == 0
     for name, value in every.to_json().items():
         expected = pytest.approx(value, rel=1e-3) if isinstance(value, float) else value
         assert near.to_json()[name] == expected, name

@@ -10,7 +10,13 @@ from evaluation_worlds import DT, Explodes, Fades, GluedBodies, random_run
 
 from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
-from contactgraph.evaluate import OpenLoopDetail, collect, evaluate_open_loop, model_diagnostics
+from contactgraph.evaluate import (
+    Prediction,
+    RecordedWindows,
+    collect,
+    evaluate_open_loop,
+    model_diagnostics,
+)
 from contactgraph.model import PRESETS, ModelConfig, ours
 from contactgraph.policies import SensorFaults
 
@@ -32,8 +38,8 @@ def untrained():
 
 def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued["n_step_rmse_m"] == pytest.approx(glued["frozen_contact_rmse_m"], rel=1e-3)
-    oracle = glued.detail.baselines["frozen_contact"]
-    assert np.allclose(glued.detail.measured.squared_error, oracle, atol=1e-5)
+    model, oracle = (glued.predictions[name] for name in ("n_step", "frozen_contact"))
+    assert np.allclose(model.squared_error, oracle.squared_error, atol=1e-5)
     assert (
         glued["frozen_contact_rmse_free_m"] < 1e-4 < 0.01 < glued["constant_velocity_rmse_free_m"]
     )
@@ -43,19 +49,19 @@ def test_corrected_by_contacts_the_frozen_contact_world_is_its_floor(glued):
     assert glued["constant_velocity_rmse_contact_m"] > 0.03
     assert glued["n_step_rmse_free_m"] < 1e-4 and glued["n_step_rmse_contact_m"] > 0.03
     assert glued["edge_precision"] == 1.0
-    assert glued.runs == 2 and glued.windows == 2 * 191 and glued.n_steps == 10
+    assert (glued["runs"], glued["windows"], glued["n_steps"]) == (2, 2 * 191, 10)
 
 
 def test_errors_by_type_and_by_run_are_those_of_the_moving_bodies(glued):
-    detail, found = glued.detail, glued.to_json()
-    squared = detail.measured.squared_error.transpose(0, 2, 1)
+    windows, found = glued.recorded, glued.to_json()
+    squared = glued.predictions["n_step"].squared_error.transpose(0, 2, 1)
 
     def rms(chosen):
-        return pytest.approx(np.sqrt(squared[detail.moves & chosen].mean()))
+        return pytest.approx(np.sqrt(squared[windows.moves & chosen].mean()))
 
     for node, name in enumerate(("gripper", "object")):
         assert found["n_step_rmse_moving_by_type_m"][name] == rms(np.arange(3) == node)
-    of_runs = [rms((detail.trajectory == run)[:, None]) for run in (0, 1)]
+    of_runs = [rms((windows.trajectory == run)[:, None]) for run in (0, 1)]
     assert found["n_step_rmse_moving_by_run_m"] == of_runs and of_runs[0] != of_runs[1]
 
 
@@ -79,9 +85,11 @@ def test_edges_are_labelled_by_holding_where_it_is_recorded(pickups):
         for data in (Dataset(tuple(touching)), pickups)
     )
     # Of two types `holding` and `probability` differ by rounding.
-    known = {name: value for name, value in expected.items() if value is not None}
+    known = {name: value for name, value in expected.items() if isinstance(value, float)}
     assert {name: found[name] for name in known} == pytest.approx(known, rel=1e-5)
-    assert all(found[name] is None for name in expected.keys() - known.keys())
+    assert {name for name in found if found[name] is None} == {
+        name for name in expected if expected[name] is None
+    }
 
 
 @pytest.mark.slow
@@ -92,7 +100,8 @@ def test_a_switch_and_the_lack_of_a_control_change_no_prediction(untrained):
     def errors(trajectory: Trajectory, control: np.ndarray) -> np.ndarray:
         model = replace(untrained, control_size=control.shape[1])
         data = Dataset((replace(trajectory, control=control),))
-        return evaluate_open_loop(model, data, horizon_s=2 * DT).detail.measured.squared_error
+        found = evaluate_open_loop(model, data, horizon_s=2 * DT)
+        return found.predictions["n_step"].squared_error
 
     still = errors(passive, np.zeros((5, 2)))
     np.testing.assert_allclose(errors(passive, np.zeros((5, 0))), still, rtol=1e-5)
@@ -160,15 +169,15 @@ def test_metrics_against_a_loop():
     assert found["edge_precision"] == pytest.approx(cells[1, 1] / cells[1].sum())
     assert found["edge_recall"] == pytest.approx(cells[1, 1] / cells[:, 1].sum())
     assert found["edge_accuracy"] == pytest.approx(np.trace(cells) / cells.sum())
-    detail = found.detail
-    assert np.allclose(detail.measured.squared_error, errors, atol=1e-7)
+    assert np.allclose(found.predictions["n_step"].squared_error, errors, atol=1e-7)
 
 
 def test_the_belief_is_carried_once_for_every_step():
-    detail = evaluate_open_loop(Fades(), Dataset((random_run(2, 8, 2),)), horizon_s=3 * DT).detail
+    found = evaluate_open_loop(Fades(), Dataset((random_run(2, 8, 2),)), horizon_s=3 * DT)
     # Step h of a window that starts from state t is the (t + h + 1)-th; 0.8^3 > 1/2 > 0.8^4.
-    made = detail.start[:, None] + np.arange(3) + 1
-    assert np.array_equal(detail.unmeasured.edge_active[:, :, 0], made <= 3)
+    made = found.recorded.start[:, None] + np.arange(3) + 1
+    active = found.predictions["n_step_unmeasured"].edge_active
+    assert np.array_equal(active[:, :, 0], made <= 3)
 
 
 def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
@@ -194,57 +203,98 @@ def test_unrecorded_values_are_none_and_the_rest_is_the_same(untrained):
     assert found["frozen_contact_rmse_m"] is None and found["edge_f1"] == full["edge_f1"]
 
 
-def test_custom_metrics(untrained):
+def last_error(windows: RecordedWindows, prediction: Prediction) -> float:
+    return float(np.sqrt(prediction.squared_error[:, -1][windows.exists].max()))
+
+
+def test_a_metric_of_ones_own_is_of_every_prediction(untrained):
     dataset = Dataset((random_run(3, 8, 0),))
-
-    def last_error(detail: OpenLoopDetail) -> float:
-        return float(np.sqrt(detail.measured.squared_error[:, -1].max()))
-
-    metrics = {"last_error_m": last_error, "unknown": lambda detail: None, "far": lambda _: np.inf}
-    found = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics=metrics)
-    assert found.extra["last_error_m"] == last_error(found.detail) > 0.0
-    numbers = found.to_json()
-    assert (numbers["unknown"], numbers["far"]) == (None, None)
-    plain = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT)
-    assert numbers == plain.to_json() | dict.fromkeys(metrics) | {
-        "last_error_m": found.extra["last_error_m"]
+    metrics = {
+        "last_error_m": last_error,
+        "unknown": lambda *_: None,
+        "edges": lambda _, each: None if each.edge_active is None else np.inf,
     }
+    found = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics=metrics)
+    numbers = found.to_json()
+    standing = found.predictions["standing_still"]
+    own = {
+        "last_error_m": last_error(found.recorded, found.predictions["n_step"]),
+        "standing_still_last_error_m": last_error(found.recorded, standing),
+        **dict.fromkeys(("unknown", "edges", "edges_unmeasured")),
+    }
+    assert {name: numbers[name] for name in own} == own and own["last_error_m"] > 0.0
+    more = {"last_error_unmeasured_m", "constant_velocity_last_error_m"}
+    more.add("frozen_contact_last_error_m")
+    plain = evaluate_open_loop(untrained, dataset, horizon_s=3 * DT).to_json()
+    assert numbers.keys() - plain.keys() == own.keys() | more
+    assert {name: numbers[name] for name in plain} == plain
     with pytest.raises(InvalidInputError, match="metrics must have new names, found 'windows'"):
         evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics={"windows": last_error})
 
 
+def test_a_prediction_of_ones_own_has_every_metric_that_it_tells(pickups):
+    """Beside the model's, on the same windows, and for the verdict."""
+
+    def shifted(trajectory: Trajectory, steps: int) -> np.ndarray:
+        starts = trajectory.steps - steps + 1
+        true = [trajectory.position[start + 1 : start + steps + 1] for start in range(starts)]
+        return np.stack(true) + np.array([0.003, 0.004])
+
+    def turning(trajectory: Trajectory, steps: int) -> np.ndarray:
+        poses = shifted(trajectory, steps)
+        return np.concatenate([poses, 0.0 * poses[..., :1]], axis=-1)
+
+    own = {"shifted": shifted, "turning": turning, "unknown": lambda *_: None}
+    found = evaluate_open_loop(GluedBodies(), pickups, predictions=own)
+    for name in ("rmse", "rmse_moving", "rmse_free", "mean_moving"):
+        assert found[f"shifted_{name}_m"] == pytest.approx(0.005)
+    assert found["shifted_rmse_moving_by_run_m"] == pytest.approx([0.005, 0.005])
+    assert found["unknown_rmse_m"] is None and found.predictions["unknown"] is None
+    assert found["shifted_diverged_windows"] == 0 and "shifted" in found.unbeaten
+    assert found.predictions["shifted"].squared_angle is None
+    assert found.predictions["turning"].squared_angle is not None
+    assert "shifted_edge_f1" not in found.numbers
+    plain = evaluate_open_loop(GluedBodies(), pickups)
+    assert {name: found[name] for name in plain.numbers if name != "verdict"} == {
+        name: value for name, value in plain.numbers.items() if name != "verdict"
+    }
+    for predictions, message in (
+        ({"n_step": shifted}, "predictions must have new names, found 'n_step'"),
+        ({"flat": lambda *of: shifted(*of)[..., :1]}, "prediction 'flat' must have the shape"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            evaluate_open_loop(GluedBodies(), pickups, predictions=predictions)
+
+
 def test_trajectories_of_different_sizes_are_as_each_alone(untrained):
     runs = (random_run(2, 6, 0), random_run(4, 11, 1), random_run(3, 2, 2))
-    together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT).detail
-    assert together.trajectory.tolist() == [0] * 4 + [1] * 9  # the third is too short
-    squared = together.measured.squared_error
-    real = [squared[together.trajectory == n][..., : 2 + 2 * n] for n in (0, 1)]
-    assert together.rmse(squared) == pytest.approx(
+    together = evaluate_open_loop(untrained, Dataset(runs), horizon_s=3 * DT)
+    windows = together.recorded
+    assert windows.trajectory.tolist() == [0] * 4 + [1] * 9  # the third is too short
+    squared = together.predictions["n_step"].squared_error
+    real = [squared[windows.trajectory == n][..., : 2 + 2 * n] for n in (0, 1)]
+    assert windows.rmse(squared) == pytest.approx(
         np.sqrt(np.mean(np.concatenate([errors.ravel() for errors in real])))
     )
-    first = together.trajectory == 0
-    assert together.rmse(squared, first) == pytest.approx(np.sqrt(np.mean(real[0])))
+    first = windows.trajectory == 0
+    assert windows.rmse(squared, first) == pytest.approx(np.sqrt(np.mean(real[0])))
     for number in (0, 1):
-        alone = evaluate_open_loop(untrained, Dataset((runs[number],)), horizon_s=3 * DT).detail
-        mine, count = together.trajectory == number, runs[number].scene.node_count
+        alone = evaluate_open_loop(untrained, Dataset((runs[number],)), horizon_s=3 * DT)
+        mine, count = windows.trajectory == number, runs[number].scene.node_count
         edges = count * (count - 1) // 2
-        assert np.array_equal(together.start[mine], alone.start)
-        for pick in (
-            lambda detail: detail.measured.squared_error,
-            lambda detail: detail.unmeasured.squared_error,
-            lambda detail: detail.baselines["frozen_contact"],
-        ):
-            found, expected = pick(together)[mine], pick(alone)
+        assert np.array_equal(windows.start[mine], alone.recorded.start)
+        for name in ("n_step", "n_step_unmeasured", "frozen_contact"):
+            found = together.predictions[name].squared_error[mine]
+            expected = alone.predictions[name].squared_error
             assert np.allclose(found[..., :count], expected, rtol=1e-4, atol=1e-8)
             assert not found[..., count:].any()
-        assert np.array_equal(together.exists[mine][:, :count], alone.exists)
-        assert not together.exists[mine][:, count:].any()
-        assert np.array_equal(together.contact[mine][..., :edges], alone.contact)
-        assert np.array_equal(
-            together.measured.edge_active[mine][..., :edges], alone.measured.edge_active
-        )
-        assert np.array_equal(together.contact_changes[mine], alone.contact_changes)
-        assert not together.edge_exists[mine][:, edges:].any()
+        assert np.array_equal(windows.exists[mine][:, :count], alone.recorded.exists)
+        assert not windows.exists[mine][:, count:].any()
+        assert np.array_equal(windows.contact[mine][..., :edges], alone.recorded.contact)
+        both, one = (each.predictions["n_step"].edge_active for each in (together, alone))
+        assert np.array_equal(both[mine][..., :edges], one)
+        assert np.array_equal(windows.contact_changes[mine], alone.recorded.contact_changes)
+        assert not windows.edge_exists[mine][:, edges:].any()
 
 
 def test_a_single_body_has_no_edges():
@@ -265,7 +315,8 @@ def test_another_model_of_the_same_kind_has_other_numbers(untrained):
 
 def test_a_model_that_explodes_is_reported_and_is_valid_json():
     found = evaluate_open_loop(Explodes(), Dataset((random_run(2, 6, 0),)), horizon_s=2 * DT)
-    assert found.diverged_windows == found.windows == 5 and found["n_step_rmse_m"] == np.inf
+    assert found["diverged_windows"] == found["windows"] == 5
+    assert found["n_step_rmse_m"] == np.inf
     assert found.to_json()["n_step_rmse_m"] is None
     assert found.to_json()["constant_velocity_rmse_m"] > 0
     assert json.loads(json.dumps(found.to_json(), allow_nan=False)) == found.to_json()
@@ -276,7 +327,7 @@ def test_the_usual_horizon_is_one_step_where_that_is_longer():
     slow = random_run(2, 3, 0)
     slow = replace(slow, scene=replace(slow.scene, dt=1.0))
     found = evaluate_open_loop(GluedBodies(), Dataset((slow,)))
-    assert (found.n_steps, found.windows) == (1, 3)
+    assert (found["n_steps"], found["windows"]) == (1, 3)
 
 
 @pytest.mark.parametrize("horizon", [0.0, -1.0, 0.3, 0.12, np.nan, np.inf])

@@ -75,7 +75,7 @@ def test_open_loop_suffers_and_scores_against_the_truth(pickups):
     )
     assert lying["n_step_rmse_m"] >= exact["n_step_rmse_m"]
     for found in (late, lying):
-        assert np.array_equal(found.detail.contact, exact.detail.contact)
+        assert np.array_equal(found.recorded.contact, exact.recorded.contact)
         assert found["frozen_contact_rmse_m"] == exact["frozen_contact_rmse_m"]
         assert found["n_step_rmse_unmeasured_m"] == exact["n_step_rmse_unmeasured_m"]
     # With rates of a sensor that is nearly always wrong, the belief does not change.

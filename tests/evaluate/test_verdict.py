@@ -8,7 +8,7 @@ from evaluation_worlds import DT, Fades, GluedBodies, random_run, scene_of
 
 from contactgraph.data import Dataset, Trajectory
 from contactgraph.evaluate import Verdict, evaluate_open_loop
-from contactgraph.evaluate.open_loop_metrics import unbeaten_baselines
+from contactgraph.evaluate.metrics import unbeaten_baselines
 from contactgraph.policies import SensorFaults
 
 
@@ -44,7 +44,7 @@ def test_errors_over_moving_bodies_by_hand():
 
 def test_padding_never_moves():
     runs = Dataset((sliding(), random_run(3, 8, 0)))
-    both = evaluate_open_loop(GluedBodies(), runs, horizon_s=2 * DT).detail
+    both = evaluate_open_loop(GluedBodies(), runs, horizon_s=2 * DT).recorded
     assert not both.moves[both.trajectory == 0][:, 2].any()
     assert both.moves[both.trajectory == 0][:, 0].all()
 
@@ -54,7 +54,8 @@ def test_a_static_body_never_moves():
     measured = replace(run, position=run.position + 0.02 * np.arange(9)[:, None, None])
     fixed = replace(measured, scene=replace(run.scene, static=np.array([False, True])))
     for each, expected in ((measured, True), (fixed, False)):
-        moves = evaluate_open_loop(GluedBodies(), Dataset((each,)), horizon_s=2 * DT).detail.moves
+        found = evaluate_open_loop(GluedBodies(), Dataset((each,)), horizon_s=2 * DT)
+        moves = found.recorded.moves
         assert moves[:, 0].all() and moves[:, 1].all() == moves[:, 1].any() == expected
 
 
@@ -80,7 +81,7 @@ def test_edges_of_the_step_just_made_by_hand():
 
 def test_a_model_without_forces_is_no_better_than_constant_velocity():
     found = evaluate_open_loop(GluedBodies(), Dataset((sliding(),)), horizon_s=2 * DT)
-    assert found.verdict is Verdict.no_better and found.unbeaten == ("constant_velocity",)
+    assert found["verdict"] is Verdict.no_better and found.unbeaten == ("constant_velocity",)
     assert found.to_json()["verdict"] == "no better"
 
 
@@ -88,19 +89,19 @@ def test_a_fitted_baseline_counts_for_the_verdict():
     dataset = Dataset((replace(sliding(), control=np.array([[10.0, 0.0]] * 8)),))
     pushed = evaluate_open_loop(GluedBodies(), dataset, horizon_s=2 * DT)
     assert pushed["n_step_rmse_moving_m"] < pushed["constant_velocity_rmse_moving_m"]
-    assert pushed.verdict is Verdict.better_than_all
+    assert pushed["verdict"] is Verdict.better_than_all
     fitted = evaluate_open_loop(
-        GluedBodies(), dataset, horizon_s=2 * DT, baselines={"gnn": perfect}
+        GluedBodies(), dataset, horizon_s=2 * DT, predictions={"gnn": perfect}
     )
     assert fitted["gnn_rmse_moving_m"] == 0.0 and fitted.unbeaten == ("gnn",)
-    assert fitted.verdict is Verdict.better_than_constant_velocity
+    assert fitted["verdict"] is Verdict.better_than_constant_velocity
     assert fitted.to_json()["verdict"] == "better than constant velocity"
 
 
 def test_where_nothing_moves_there_is_no_verdict():
     resting = replace(sliding(), position=np.zeros((9, 2, 2)))
     found = evaluate_open_loop(GluedBodies(), Dataset((resting,)), horizon_s=2 * DT)
-    assert found.verdict is None and found.to_json()["verdict"] is None
+    assert found["verdict"] is None and found.to_json()["verdict"] is None
     assert found["constant_velocity_rmse_moving_m"] is None
 
 

@@ -14,7 +14,7 @@ from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.shaped_tasks import box_outline
 from contactgraph.evaluate import evaluate_open_loop
-from contactgraph.evaluate.open_loop_metrics import pin_drift
+from contactgraph.evaluate.metrics import pin_drift
 from contactgraph.evaluate.trajectory_prediction import largest_pin_gaps, pin_gaps
 from contactgraph.identify import Units, identify, in_units
 from contactgraph.identify.shapes import CONTACT_DISTANCE
@@ -199,11 +199,13 @@ def test_the_drift_of_pins_is_the_largest_gap_of_all_predictions() -> None:
     recorded = chain(np.stack([position] * 5), np.stack([velocity] * 5))
     found = evaluate_open_loop(model(), Dataset((recorded,)), horizon_s=2 * DT)
     assert 0.0 < found["pin_drift_m"] < 1e-5
-    assert not found.detail.edge_exists[:, [0, 2]].any() and found.detail.edge_exists[:, 1].all()
+    assert (
+        not found.recorded.edge_exists[:, [0, 2]].any() and found.recorded.edge_exists[:, 1].all()
+    )
     free = replace(SCENE, pins=None, pin_points=None)
-    none = largest_pin_gaps(free, np.zeros((3, 2, 3, 3)), TURN_LENGTH)
-    measured = replace(found.detail.measured, pin_gap=none)
-    assert pin_drift(replace(found.detail, measured=measured)) is None
+    none = largest_pin_gaps(free, np.zeros((3, 2, 3, 3)))
+    unpinned = replace(found.predictions["n_step"], pin_gap=none)
+    assert pin_drift(found.recorded, unpinned) == {"pin_drift_m": None}
 
 
 def test_data_of_a_chain_tell_the_force_on_its_hand_and_no_contact_distance() -> None:

@@ -10,11 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contactgraph.data import Scene, Trajectory, joined
+from contactgraph.data import Scene, Trajectory, generalized_coordinates, joined
+from contactgraph.data.turns import turned_on
 
-Baseline = Callable[[Trajectory, int], np.ndarray | None]
+Predictor = Callable[[Trajectory, int], np.ndarray | None]
 """[S, H, N, D] m: positions ``H`` steps ahead from each of the S states of a trajectory that has
-so many after it. None: not known for this trajectory."""
+so many after it; with the columns of angles, rad, where those are predicted, too: one in the plane,
+a rotation vector in space. None: not known for this trajectory."""
 
 
 def standing_still(trajectory: Trajectory, steps: int) -> np.ndarray:
@@ -28,6 +30,18 @@ def constant_velocity(trajectory: Trajectory, steps: int) -> np.ndarray:
     starts = trajectory.steps - steps + 1
     elapsed = trajectory.scene.dt * np.arange(1, steps + 1)[:, None, None]
     return trajectory.position[:starts, None] + elapsed * trajectory.velocity[:starts, None]
+
+
+def constant_rates(trajectory: Trajectory, steps: int) -> np.ndarray:
+    """`constant_velocity` with the angles at constant angular velocity; 0 where it is unknown."""
+    dimension, starts = trajectory.scene.dimension, trajectory.steps - steps + 1
+    states = trajectory.position, trajectory.velocity
+    turning = trajectory.orientation, trajectory.angular_velocity
+    poses, rates = generalized_coordinates(1.0, *states, *turning)
+    elapsed = trajectory.scene.dt * np.arange(1, steps + 1)[:, None, None]
+    turned = elapsed * np.nan_to_num(rates[:starts, None, :, dimension:])
+    angles = turned_on(poses[:starts, None, :, dimension:], turned)
+    return np.concatenate([constant_velocity(trajectory, steps), angles], axis=-1)
 
 
 def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | None:

@@ -1,7 +1,7 @@
 """Diagnostics of a model: beliefs, parameters and growth along trajectories, and its memory."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from contactgraph.data import (
     with_edge_labels,
 )
 from contactgraph.dynamics.local_dynamics import SpringMassDamper, SpringMassDamperDynamics
-from contactgraph.evaluate.statistics import finite_or_none
 from contactgraph.evaluate.trajectory_prediction import filtered_beliefs
 from contactgraph.inference.features import turn_length_of
 from contactgraph.model import (
@@ -95,36 +94,17 @@ def _parameters(
     return jax.vmap(lambda state, u: model.parameters(state, u, trajectory.nodes))(states, controls)
 
 
-@dataclass(frozen=True)
-class RolloutGrowth:
-    """The results of `rollout_growth`, medians over trajectories; names are keys of `to_json`.
+def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> dict[str, float]:
+    """Rolls the model out for ``steps`` from the first state of every trajectory.
 
     Growth is the largest norm of the state (all positions [m] and velocities [m/s]) in a rollout,
-    over that of the first state; infinite where a prediction is not finite.
-    """
-
-    growth_steps: int
-    growth_free: float
-    """Without any control."""
-    growth_driven: float
-    """Under the recorded controls, then without control."""
-    growth_recorded: float
-    """Of the recorded trajectory itself, for comparison."""
-    finite_rollouts: float
-    """Share of rollouts, of both kinds, of which every number is finite."""
-    spectral_radius: float
-    """Largest absolute eigenvalue of A in the first step; a lasting value above 1 is unstable."""
-    spectral_radius_max: float
-    """The same over all finite steps under the recorded controls, the largest of all."""
-
-    def to_json(self) -> dict[str, float | int | None]:
-        """All numbers by name; None for those that are not finite."""
-        numbers = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: finite_or_none(value) for name, value in numbers.items()}
-
-
-def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGrowth:
-    """Rolls the model out for ``steps`` from the first state of every trajectory.
+    over that of the first state; infinite where a prediction is not finite. The medians over
+    trajectories are ``growth_free``, without any control, ``growth_driven``, under the recorded
+    controls and then without control, and ``growth_recorded``, of the recorded trajectory itself.
+    ``finite_rollouts`` is the share of rollouts, of both kinds, of which every number is finite.
+    ``spectral_radius`` is the largest absolute eigenvalue of A in the first step, a median, too;
+    ``spectral_radius_max`` that over all finite steps under the recorded controls, the largest of
+    all. A lasting value above 1 is unstable.
 
     Raises `InvalidInputError` where ``steps`` is not positive, or model and data do not fit.
     """
@@ -149,15 +129,15 @@ def rollout_growth(model: StepModel, dataset: Dataset, steps: int) -> RolloutGro
         first_radius.append(float(radius[0]))
         radii.append(np.asarray(radius, np.float64))
     every = np.concatenate(radii)
-    return RolloutGrowth(
-        growth_steps=steps,
-        growth_free=float(np.median(free)),
-        growth_driven=float(np.median(driven)),
-        growth_recorded=float(np.median(recorded)),
-        finite_rollouts=float(np.mean(np.isfinite(free + driven))),
-        spectral_radius=float(np.median(first_radius)),
-        spectral_radius_max=float(max(every[np.isfinite(every)], default=math.inf)),
-    )
+    return {
+        "growth_steps": steps,
+        "growth_free": float(np.median(free)),
+        "growth_driven": float(np.median(driven)),
+        "growth_recorded": float(np.median(recorded)),
+        "finite_rollouts": float(np.mean(np.isfinite(free + driven))),
+        "spectral_radius": float(np.median(first_radius)),
+        "spectral_radius_max": float(max(every[np.isfinite(every)], default=math.inf)),
+    }
 
 
 def _growth(norm: Array, first: float) -> float:

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,35 +11,30 @@ import numpy as np
 from contactgraph.data import (
     Dataset,
     InvalidInputError,
-    Trajectory,
     strip_contacts,
     with_edge_labels,
 )
 from contactgraph.data.dataset import near_origin
 from contactgraph.evaluate.baselines import (
-    Baseline,
-    constant_velocity,
+    Predictor,
+    constant_rates,
     fixed_contact_oracle,
     standing_still,
 )
-from contactgraph.evaluate.mass_scores import mass_numbers
-from contactgraph.evaluate.open_loop_detail import OpenLoopDetail, WindowPredictions
-from contactgraph.evaluate.open_loop_metrics import (
+from contactgraph.evaluate.metrics import (
+    BASELINES,
+    INFERRED,
+    MODEL,
     ORACLE,
-    OpenLoopMetrics,
-    angle_numbers,
-    calibration_numbers,
-    edge_numbers,
-    error_numbers,
-    errors_by_run,
-    numbers_by_type,
-    pin_drift,
-    rest_drift,
-    turned_over_accuracy,
+    UNMEASURED,
+    all_numbers,
+    json_key,
     unbeaten_baselines,
+    verdict,
 )
-from contactgraph.evaluate.prediction_windows import trajectory_detail
-from contactgraph.evaluate.statistics import Sums
+from contactgraph.evaluate.prediction_windows import TrajectoryWindows
+from contactgraph.evaluate.recorded_windows import Prediction, RecordedWindows
+from contactgraph.evaluate.statistics import Sums, finite_or_none
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
     ContactSensor,
@@ -52,25 +48,46 @@ from contactgraph.policies.sensor_faults import SensorFault, SensorFaults
 
 _EXACT = SensorFaults()
 
-Metric = Callable[[OpenLoopDetail], float | None]
-"""A metric of one's own: a number computed from all windows, None where it is not known."""
+Metric = Callable[[RecordedWindows, Prediction], float | None]
+"""A metric of one's own: a number of one prediction of all windows, None where it is not known."""
 
 _USUAL_HORIZON_S = 0.5
 _TOLERANCE = 1e-6
 """Relative difference of a horizon from a whole number of steps that counts as none."""
 
-
-def _not_fitted(trajectory: Trajectory, steps: int) -> None:
-    return None
-
-
-_BASELINES: dict[str, Baseline] = {
-    "constant_velocity": constant_velocity,
+_WITHOUT_FITTING: dict[str, Predictor] = {
+    "constant_velocity": constant_rates,
     "standing_still": standing_still,
     ORACLE: fixed_contact_oracle,
-    "least_squares": _not_fitted,
-    "gnn": _not_fitted,
 }
+
+
+@dataclass(frozen=True)
+class OpenLoopMetrics:
+    """The results of `evaluate_open_loop`."""
+
+    recorded: RecordedWindows = field(repr=False, compare=False)
+    """Every window on its own."""
+    predictions: Mapping[str, Prediction | None] = field(repr=False, compare=False)
+    """By name: ``n_step``, the model's, by beliefs that measured contacts and, if requested, the
+    observed motion have corrected; ``n_step_unmeasured``, by those that nothing has corrected;
+    ``n_step_inferred``, by those that motion alone has corrected; the baselines, and the caller's
+    own. None: not known."""
+    numbers: Mapping[str, Any]
+    """Every metric of every prediction by its JSON key. None: the data do not determine it."""
+    unbeaten: tuple[str, ...]
+    """Predictions that the model is not better than: see `unbeaten_baselines`."""
+
+    def __getitem__(self, name: str) -> Any:
+        """The number with this JSON key."""
+        return self.numbers[name]
+
+    def to_json(self) -> dict[str, Any]:
+        """All results by name; None for those that are not known or not finite."""
+        return {
+            name: finite_or_none(value) if isinstance(value, float) else value
+            for name, value in self.numbers.items()
+        }
 
 
 def evaluate_open_loop(
@@ -81,7 +98,7 @@ def evaluate_open_loop(
     sensor: ContactSensor | None = None,
     faults: SensorFault = _EXACT,
     motion_noise: MotionNoise | None = None,
-    baselines: Mapping[str, Baseline] | None = None,
+    predictions: Mapping[str, Predictor] | None = None,
     metrics: Mapping[str, Metric] | None = None,
     last_window_of: Sequence[int] = (),
 ) -> OpenLoopMetrics:
@@ -98,17 +115,22 @@ def evaluate_open_loop(
     ``sensor`` has the same error rates and delay by default, and without faults is the model's
     `default_sensor`. With ``motion_noise`` (see `contactgraph.inference.motion_noise`) the observed
     motion corrects the belief, too, and beliefs corrected by motion alone are evaluated besides.
-    ``baselines``: predictions beside those without fitting, by name (``least_squares`` and ``gnn``
-    are null otherwise). ``metrics``: further metrics by name, each a function of the
-    `OpenLoopDetail`. ``last_window_of``: the episode that each trajectory belongs to, by index, and
-    only the last window of each trajectory is predicted: see `forced_windows`.
+    ``predictions``: further ones by name, each a function of a trajectory and the number of steps;
+    they count for the verdict. ``least_squares`` and ``gnn`` are null unless they are given so.
+    ``metrics``: further ones by name, each a function of the `RecordedWindows` and a `Prediction`;
+    they are computed for every prediction that is known. ``last_window_of``: the episode that
+    each trajectory belongs to, by index, and only the last window of each trajectory is predicted:
+    see `forced_windows`.
 
     Contacts are `with_edge_labels` here: pairs that hold each other, where that is recorded.
     The trajectories may differ in steps and nodes. Where one lacks contacts, none are used.
     Raises `InvalidInputError` where the horizon is no multiple of the step or longer than every
     trajectory, where model and data do not fit, where there are no contacts for faults to corrupt,
-    or where a metric has the name of a built-in one.
+    or where a prediction or a metric has the name of a built-in one.
     """
+    built_in = {MODEL, UNMEASURED, INFERRED, *_WITHOUT_FITTING}
+    if taken := sorted((predictions or {}).keys() & built_in):
+        raise InvalidInputError(f"predictions must have new names, found {taken[0]!r}")
     for each in dataset:
         check_fit(model, each.scene, each.control_size, "the data")
     if motion_noise is not None:
@@ -127,56 +149,49 @@ def evaluate_open_loop(
         )
     if lacking:
         dataset = strip_contacts(dataset)
-    lists = ReallocatingModel(model, dataset)
-    detail = _concatenated(
-        [
-            trajectory_detail(
-                lists,
-                dataset,
-                index,
-                steps,
-                sensor,
-                faults,
-                {**_BASELINES, **(baselines or {})},
-                motion_noise,
-                last=bool(last_window_of),
-            )
-            for index, each in enumerate(dataset)
-            if each.steps >= steps
-        ]
-    )
-    types = [each.scene.node_type for each in dataset]
+    lists, parts = ReallocatingModel(model, dataset), []
+    given = {**_WITHOUT_FITTING, **(predictions or {})}
+    for index, each in enumerate(dataset):
+        if each.steps < steps:
+            continue
+        windows = TrajectoryWindows(dataset, index, steps, bool(last_window_of))
+        by_model = partial(windows.predicted_by, lists, sensor=sensor)
+        unmeasured = by_model(contacts=None, noise=None)
+        inferred = measured = None
+        if motion_noise is not None:
+            inferred = by_model(contacts=None, noise=motion_noise)
+        if each.contact is not None:
+            reported = faults.reported(each.contact, each.scene, index)
+            measured = by_model(contacts=reported, noise=motion_noise)
+        found = {
+            MODEL: measured or inferred or unmeasured,
+            **dict.fromkeys(BASELINES),
+            **{name: windows.predicted(name, of) for name, of in given.items()},
+            UNMEASURED: unmeasured,
+            INFERRED: inferred,
+        }
+        parts.append((windows.recorded(), found))
+    recorded, predicted = map(_concatenated, zip(*parts, strict=True))
     if last_window_of:
-        types = list(dict(zip(last_window_of, types, strict=True)).values())
-        detail = replace(detail, trajectory=np.array(last_window_of))
-    errors = error_numbers(detail)
-    diverged = ~np.isfinite(detail.measured.squared_error).all(axis=(1, 2))
-    found = OpenLoopMetrics(
-        runs=len(types),
-        windows=len(detail.start),
-        n_steps=steps,
-        diverged_windows=int(diverged.sum()),
-        numbers={
-            **errors,
-            **angle_numbers(detail),
-            "rest_drift_m": rest_drift(detail),
-            "pin_drift_m": pin_drift(detail),
-            "turned_over_accuracy": turned_over_accuracy(detail),
-            **edge_numbers(detail),
-            **calibration_numbers(detail),
-            **mass_numbers(detail.measured.mass_errors),
-        },
-        unbeaten=unbeaten_baselines(
-            {name: errors[f"{name}_rmse_moving_m"] for name in ("n_step", *detail.baselines)}
-        ),
-        detail=detail,
-        by_type=numbers_by_type(detail, types),
-        by_run=errors_by_run(detail, len(types)),
-    )
-    taken = sorted(found.to_json().keys() & (metrics or {}))
-    if taken:
+        types = dict(zip(last_window_of, recorded.node_types, strict=True))
+        recorded = replace(
+            recorded, node_types=tuple(types.values()), trajectory=np.array(last_window_of)
+        )
+    numbers = all_numbers(recorded, predicted)
+    numbers |= {"windows": len(recorded.start), "n_steps": steps, "runs": len(recorded.node_types)}
+    errors = {name: numbers[json_key(name, "n_step_rmse_moving_m")] for name in predicted}
+    unbeaten = unbeaten_baselines(errors)
+    numbers["verdict"] = verdict(errors[MODEL], unbeaten)
+    own = {
+        json_key(which, name): value
+        for name, metric in (metrics or {}).items()
+        for which, prediction in predicted.items()
+        if prediction is not None
+        if (value := metric(recorded, prediction)) is not None or which == MODEL
+    }
+    if taken := sorted(own.keys() & numbers.keys()):
         raise InvalidInputError(f"metrics must have new names, found {taken[0]!r}")
-    return replace(found, extra={name: of(detail) for name, of in (metrics or {}).items()})
+    return OpenLoopMetrics(recorded, predicted, numbers | own, unbeaten)
 
 
 def horizon_steps(dataset: Dataset, horizon_s: float | None) -> int:
@@ -207,7 +222,7 @@ def _concatenated(parts: Sequence[Any]) -> Any:
         return sum(parts[1:], first)
     if isinstance(first, dict):
         return {name: _concatenated([each[name] for each in parts]) for name in first}
-    if not isinstance(first, OpenLoopDetail | WindowPredictions):
+    if not isinstance(first, RecordedWindows | Prediction):
         return first
     names = [each.name for each in fields(first)]
     values = {name: _concatenated([getattr(each, name) for each in parts]) for name in names}

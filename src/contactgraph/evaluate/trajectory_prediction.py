@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.graph import edge_count
-from contactgraph.data import Scene, TrajectoryBatch
+from contactgraph.data import Scene, Trajectory, TrajectoryBatch
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -18,6 +18,7 @@ from contactgraph.model import (
     SmoothCutoff,
     StepModel,
     rollout,
+    told_log_mass,
 )
 from contactgraph.model.body_mass import MassBelief, with_masses
 from contactgraph.model.filter import filter_trajectory
@@ -48,15 +49,39 @@ class TrajectoryPrediction(eqx.Module):
     """[T+1, N] by the motion up to each state. None: bodies of a type weigh alike."""
 
 
-def largest_pin_gaps(scene: Scene, position: np.ndarray, turn_length: float | None) -> np.ndarray:
-    """[S] m: the largest `pin_gaps` of windows [S, H, N, G]; infinite where a prediction is not
-    finite, NaN where the scene has no pins or the model, without a ``turn_length``, no angles."""
-    if not len(scene.pins) or turn_length is None:
-        return np.full(len(position), np.nan)
-    place, angle = position[..., :2], position[..., 2] / turn_length
+def largest_pin_gaps(scene: Scene, poses: np.ndarray) -> np.ndarray:
+    """[S] m: the largest `pin_gaps` of poses [S, H, N, 3], m and rad, in windows; infinite where a
+    prediction is not finite, NaN where the scene has no pins."""
+    if not len(scene.pins):
+        return np.full(len(poses), np.nan)
     with np.errstate(invalid="ignore"):
-        gap = pin_gaps(scene.pins, scene.pin_points, place, angle)
+        gap = pin_gaps(scene.pins, scene.pin_points, poses[..., :2], poses[..., 2])
     return np.where(np.isfinite(gap), gap, np.inf).max(axis=(1, 2))
+
+
+def mass_errors(
+    model: object, trajectory: Trajectory, masses: MassBelief | None
+) -> np.ndarray | None:
+    """[bodies, 2] error of the logarithm of the mass, and its standard deviation by the model.
+
+    Of every body of unknown mass that touches another, at the end of its first contact, or of the
+    trajectory. None where the model infers no masses, or the data tell none or no contacts.
+    """
+    contact = trajectory.contact
+    if masses is None or contact is None:
+        return None
+    told, touched = told_log_mass(model, trajectory.scene), np.any(contact, axis=2)
+    if told is None:
+        return None
+    unknown = np.asarray(masses.variance)[0, : touched.shape[1]] > 0.0
+    found = []
+    for node in np.flatnonzero(unknown & touched.any(axis=0)).tolist():
+        begin = int(np.argmax(touched[:, node]))
+        ended = np.flatnonzero(~touched[begin:, node])
+        end = begin + int(ended[0]) if len(ended) else trajectory.steps
+        error = float(masses.mean[end, node]) - told[node]
+        found.append((error, float(masses.variance[end, node]) ** 0.5))
+    return np.reshape(found, (-1, 2))
 
 
 def contact_belief(
