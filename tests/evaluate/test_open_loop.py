@@ -232,7 +232,7 @@ def test_a_metric_of_ones_own_is_of_every_prediction(untrained):
         evaluate_open_loop(untrained, dataset, horizon_s=3 * DT, metrics={"windows": last_error})
 
 
-def test_a_prediction_of_ones_own_has_every_metric_that_it_tells(pickups):
+def test_a_prediction_of_ones_own_has_every_metric_that_it_determines(pickups):
     """Beside the model's, on the same windows, and for the verdict."""
 
     def shifted(trajectory: Trajectory, steps: int) -> np.ndarray:

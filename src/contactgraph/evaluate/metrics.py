@@ -216,7 +216,7 @@ def json_key(prediction: str, name: str) -> str:
 def all_numbers(
     windows: RecordedWindows, predictions: Mapping[str, Prediction | None]
 ) -> dict[str, Any]:
-    """Every metric of every prediction, by `json_key`; None: not known."""
+    """Every metric of every prediction, by `json_key`; the first, `MODEL`, must be known."""
     numbers: dict[str, Any] = {}
     for metric, reported in _METRICS.items():
         names: Mapping[str, Any] = {}

@@ -86,7 +86,7 @@ class TrajectoryWindows:
         )
 
     def predicted(self, name: str, predictor: Predictor) -> Prediction | None:
-        """What a function tells of them. Raises `InvalidInputError` where its shape is wrong."""
+        """The prediction of a function. Raises `InvalidInputError` where its shape is wrong."""
         found, scene = predictor(self.trajectory, self.steps), self.trajectory.scene
         if found is None:
             return None
@@ -107,7 +107,7 @@ class TrajectoryWindows:
         sensor: ContactSensor,
         noise: MotionNoise | None,
     ) -> Prediction:
-        """What a model tells by beliefs that these contacts and, with ``noise``, motion correct."""
+        """A model's, by beliefs that these contacts and, with a ``noise``, the motion correct."""
         # A report with faults may deny a contact that is recorded as holding.
         corrected = replace(self.trajectory, contact=contacts, holding=None)
         starts, count = len(self.position), self.trajectory.scene.node_count

@@ -16,7 +16,7 @@ TURNED_OVER_RAD = np.pi / 4.0
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One prediction of all windows, beside what was recorded; None: it does not tell a quantity.
+    """One prediction of all windows, beside what was recorded; None: it has no such quantity.
 
     A prediction of contacts has beliefs, too. They are empty where contacts were not recorded.
     """
