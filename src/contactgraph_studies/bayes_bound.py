@@ -101,9 +101,6 @@ class GivenHold:
 
     given: Callable[[set[int]], set[int]]
 
-    def reset(self, world: PlanarWorld) -> None:
-        """Keeps no state."""
-
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins or parts the gripper's pairs."""
         near = touched(world)

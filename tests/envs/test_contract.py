@@ -22,7 +22,7 @@ from contactgraph.envs import (
     SuctionExpert,
     check_task,
 )
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 
 PLANAR = [
     *[("pickup", {"distractors": count}) for count in (0, 1, 20)],

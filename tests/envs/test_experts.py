@@ -12,7 +12,7 @@ from contactgraph.envs import (
     RestPolicy,
     SuctionTask,
 )
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.evaluate import collect, run_episode
 
 START_UP = 4

@@ -1,9 +1,9 @@
 """Simulated tasks and the scripted experts that record them."""
 
 from contactgraph.envs.adapter import AdaptedTask as AdaptedTask
+from contactgraph.envs.billiards import BilliardsExpert as BilliardsExpert
 from contactgraph.envs.billiards import BilliardsTask as BilliardsTask
-from contactgraph.envs.billiards_policies import BilliardsExpert as BilliardsExpert
-from contactgraph.envs.billiards_policies import StrikingPolicy as StrikingPolicy
+from contactgraph.envs.billiards import StrikingPolicy as StrikingPolicy
 from contactgraph.envs.carry_expert import CarryExpert as CarryExpert
 from contactgraph.envs.carry_expert import LookAlikesExpert as LookAlikesExpert
 from contactgraph.envs.carry_expert import StickyExpert as StickyExpert
@@ -15,11 +15,10 @@ from contactgraph.envs.contract import Observation as Observation
 from contactgraph.envs.contract import Policy as Policy
 from contactgraph.envs.contract import Renderable as Renderable
 from contactgraph.envs.contract import Task as Task
+from contactgraph.envs.door import DoorExpert as DoorExpert
 from contactgraph.envs.door import DoorTask as DoorTask
-from contactgraph.envs.experts import DoorExpert as DoorExpert
-from contactgraph.envs.experts import ExplorationPolicy as ExplorationPolicy
-from contactgraph.envs.experts import PickupExpert as PickupExpert
-from contactgraph.envs.experts import RestPolicy as RestPolicy
+from contactgraph.envs.exploration import ExplorationPolicy as ExplorationPolicy
+from contactgraph.envs.exploration import RestPolicy as RestPolicy
 from contactgraph.envs.handling import HandlingPolicy as HandlingPolicy
 from contactgraph.envs.hidden_contact import DelayTask as DelayTask
 from contactgraph.envs.hidden_contact import LookAlikesTask as LookAlikesTask
@@ -27,6 +26,7 @@ from contactgraph.envs.hidden_contact import ReleaseTask as ReleaseTask
 from contactgraph.envs.hidden_contact import StickyTask as StickyTask
 from contactgraph.envs.hidden_contact import SuctionTask as SuctionTask
 from contactgraph.envs.pickup import MultiPickupTask as MultiPickupTask
+from contactgraph.envs.pickup import PickupExpert as PickupExpert
 from contactgraph.envs.pickup import PickupTask as PickupTask
 from contactgraph.envs.push_and_pick import PickPolicy as PickPolicy
 from contactgraph.envs.push_and_pick import PushPolicy as PushPolicy

@@ -4,8 +4,9 @@ import numpy as np
 
 from contactgraph.data import Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.experts import CorrelatedNoise, carried_targets
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.gripper_motion import GripperForces, limited
+from contactgraph.envs.pickup import carried_targets
 
 _CALM = 0.15
 """Distance from the goal within which the noise on the force fades, m."""

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost
+from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
@@ -136,6 +137,69 @@ DOOR_MASS = 4.0
 GRIPPER_RADIUS = 0.04
 """m."""
 MAX_DISTRACTORS = 10
+
+
+DOOR_STIFFNESS = 5.0
+"""Kp, N/m towards the door; while turning N m/rad per kg m^2."""
+DOOR_FREE_DAMPING = 1.0 * np.sqrt(DOOR_STIFFNESS)
+"""Along the direction to the door, N s/m."""
+ACROSS_DAMPING = 4.0 * np.sqrt(DOOR_STIFFNESS)
+"""Across the direction to the door, N s/m."""
+TURN_DAMPING = 2.0 * np.sqrt(DOOR_STIFFNESS)
+"""N m s/rad per kg m^2: critical. The paper's 4 sqrt(Kp) would be too slow."""
+_LEAST_RADIUS = 0.1
+"""m; the least assumed distance of the gripper to the hinge, which bounds the force."""
+
+
+class DoorExpert:
+    """Strikes the door at its middle, at speed, and turns it to the goal: two PD controllers.
+
+    On the turn the torque is proportional to the moment of inertia of door and gripper about the
+    hinge, so that every door takes the same time. ``noise`` N is the standard deviation of the
+    force that is added on each axis, correlated over ``correlation_steps`` steps.
+    """
+
+    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
+        self._noise = CorrelatedNoise(noise, correlation_steps)
+        self._hinge = np.zeros(2)
+        self._mass = np.zeros(2)
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode; raises `InvalidInputError` where ``scene`` has no door."""
+        hinged = scene.node_count > DOOR and scene.hinged[DOOR]
+        if not hinged or scene.goal is None or scene.mass is None:
+            raise InvalidInputError(
+                f"a door expert needs a node {DOOR} with an anchor, a goal and masses, found nodes "
+                f"{list(scene.node_name)} and anchor {scene.anchor.tolist()}"
+            )
+        self._hinge, self._mass = scene.anchor[DOOR], scene.mass[[GRIPPER, DOOR]]
+        self._noise.reset(scene.dimension, seed)
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[2]`` N."""
+        position, velocity = observation["position"], observation["velocity"]
+        if observation["contact"][GRIPPER, DOOR]:
+            force = self._turn(position, velocity, observation["goal"])
+        else:
+            offset = position[DOOR] - position[GRIPPER]
+            along = offset * (offset @ velocity[GRIPPER]) / (offset @ offset)
+            across = velocity[GRIPPER] - along
+            force = DOOR_STIFFNESS * offset - DOOR_FREE_DAMPING * along - ACROSS_DAMPING * across
+        return force + self._noise()
+
+    def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """[2] N perpendicular to the gripper's radius vector."""
+        bar, aim = position[DOOR] - self._hinge, goal - self._hinge
+        radius_vector = position[GRIPPER] - self._hinge
+        # A thin rod about its end: four thirds of m r^2, r from the hinge to the middle.
+        inertia = self._mass @ [radius_vector @ radius_vector, 4.0 / 3.0 * (bar @ bar)]
+        left = np.array([-bar[1], bar[0]])
+        missing = np.arctan2(left @ aim, bar @ aim)
+        rate = (left @ velocity[DOOR]) / (bar @ bar)
+        torque = inertia * (DOOR_STIFFNESS * missing - TURN_DAMPING * rate)
+        radius = float(np.linalg.norm(radius_vector))
+        across = np.array([-radius_vector[1], radius_vector[0]])
+        return torque / max(radius, _LEAST_RADIUS) * across / radius
 
 
 class DoorTask(GripperTask):

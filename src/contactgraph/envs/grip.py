@@ -1,4 +1,7 @@
-"""Rules that tie bodies of a `PlanarWorld` together: at touch, by a switch, for or after a time."""
+"""Rules that tie bodies of a `PlanarWorld` together: at touch, by a switch, for or after a time.
+
+A rule is of one world, and of one episode.
+"""
 
 import math
 from collections.abc import Collection
@@ -41,9 +44,6 @@ def held_by_gripper(world: PlanarWorld) -> set[int]:
 class HoldAtTouch:
     """Ties together all bodies that touch, for good."""
 
-    def reset(self, world: PlanarWorld) -> None:
-        """Keeps no state."""
-
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins the pairs that touch now."""
         for first, second in sorted(world.touching_pairs):
@@ -52,9 +52,6 @@ class HoldAtTouch:
 
 class SwitchedHold:
     """The gripper holds what it touches while the world's switch is above 0.5."""
-
-    def reset(self, world: PlanarWorld) -> None:
-        """Keeps no state."""
 
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins all that the gripper touches, or parts all that it holds."""
@@ -80,13 +77,8 @@ class HiddenSwitchHold(SwitchedHold):
         on: tuple[float, float] = HIDDEN_ON,
         off: tuple[float, float] = HIDDEN_OFF,
     ) -> None:
-        self._seed, self._times = seed, {True: on, False: off}
+        self._times = {True: on, False: off}
         self._rng = np.random.default_rng(seed)
-        self._on, self._left = False, 0.0
-
-    def reset(self, world: PlanarWorld) -> None:
-        """Begins an episode: the same times again."""
-        self._rng = np.random.default_rng(self._seed)
         self._on = bool(self._rng.random() < 0.5)
         self._left = float(self._rng.uniform(*self._times[self._on]))
 
@@ -116,18 +108,13 @@ class BreakingHold:
         tension: float = HOLD_TENSION,
         nodes: Collection[int] | None = None,
     ) -> None:
-        self._seed, self._times, self._tension = seed, times, tension
+        self._times, self._tension = times, tension
         self._rng = np.random.default_rng(seed)
         self.nodes = None if nodes is None else frozenset(nodes)
         """The bodies that can be held; None: all."""
         self.left: dict[int, float] = {}
         """The time after which each hold ends by itself, s."""
         self._apart: dict[int, float] = {}
-
-    def reset(self, world: PlanarWorld) -> None:
-        """Begins an episode: the same times again."""
-        self._rng = np.random.default_rng(self._seed)
-        self.left, self._apart = {}, {}
 
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins or parts the gripper's pairs after a substep of ``dt`` s."""
@@ -163,10 +150,6 @@ class DelayedHold:
     def __init__(self, delay: float = DELAY) -> None:
         self._delay = delay
         self._since: dict[int, float] = {}
-
-    def reset(self, world: PlanarWorld) -> None:
-        """Begins an episode."""
-        self._since = {}
 
     def update(self, world: PlanarWorld, dt: float) -> None:
         """Joins the gripper's pairs that have touched for long enough, after ``dt`` s."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.gripper_motion import approach_velocity, limited, unit
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
 from contactgraph.envs.pickup import held

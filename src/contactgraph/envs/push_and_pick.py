@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 
 NEAR_WEIGHTS = np.array([0.03, 0.03, 0.002, 0.002])
 """Costs in the plane of what pushes and the body, so small that it may go round the body."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, MAX_FORCE
 from contactgraph.envs.pickup import GOAL_WEIGHTS, TARGET, CarryTask, Metadata
 from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS

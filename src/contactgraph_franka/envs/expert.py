@@ -8,7 +8,7 @@ from scipy.interpolate import BPoly
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.experts import CorrelatedNoise
+from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.pickup_layout import distance_to_path
 from contactgraph_franka.envs.pickup import (
     APPARENT_MASS,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from contactgraph.cli.options import choice
 from contactgraph.cli.task_types import AS_TRAINED, KnownTask, TestCondition
-from contactgraph.envs.experts import ExplorationPolicy
+from contactgraph.envs.exploration import ExplorationPolicy
 from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import MAX_FORCE, Grasp
 

@@ -27,10 +27,7 @@ Pair = tuple[int, int]
 
 
 class HoldRule(Protocol):
-    """Decides which bodies are tied together."""
-
-    def reset(self, world: "PlanarWorld") -> None:
-        """Called once, before the first step."""
+    """Decides which bodies of one world are tied together."""
 
     def update(self, world: "PlanarWorld", dt: float) -> None:
         """Called after every substep of ``dt`` s; may call ``world.join`` and ``world.part``."""
@@ -101,9 +98,6 @@ class PlanarWorld:
         self._touched: set[Pair] = set()
         self.hold = hold
         """The rule that ties bodies together; copies have the one of the start."""
-        self._under_rule = True
-        if hold is not None:
-            hold.reset(self)
         self._under_rule = False
 
     @property
