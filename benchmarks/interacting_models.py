@@ -28,11 +28,11 @@ from scipy.linalg import fractional_matrix_power
 
 from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
 from contactgraph.cli.output import check_writable, write_json
-from contactgraph.cli.tasks import recorded_task
 from contactgraph.data import Dataset, InvalidInputError, Trajectory, read_trajectories
 from contactgraph.envs.gripper_task import GRIPPER
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.evaluate import evaluate_open_loop, forced_windows, horizon_steps
+from contactgraph.evaluate.forced import recorded_task
 from contactgraph_studies.bayes_bound import (
     SUBSTEPS,
     Posterior,

@@ -7,7 +7,7 @@ import pytest
 
 MODULES = (
     "contactgraph.cli.models",
-    "contactgraph.cli.tasks",
+    "contactgraph.envs.registry",
     "contactgraph.control.cost",
     "contactgraph.control.ilqr",
     "contactgraph.control.mpc",

@@ -9,8 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import contactgraph.gym
-from contactgraph.cli.tasks import task_names
 from contactgraph.data import InvalidInputError
+from contactgraph.envs.registry import task_names
 
 TASKS = [name for name in gymnasium.registry if name.startswith("contactgraph/")]
 STEPS = 3
@@ -39,7 +39,7 @@ def test_the_import_is_fast_and_loads_nothing() -> None:
 def test_no_physics_engine_is_imported_before_a_planar_task_is_made() -> None:
     code = (
         "import sys, contactgraph, contactgraph.envs, contactgraph.evaluate, contactgraph.train\n"
-        "from contactgraph.cli.tasks import task_names\n"
+        "from contactgraph.envs.registry import task_names\n"
         "task = contactgraph.make('springs')\n"
         "task.reset(seed=0)\n"
         "print({'Box2D', 'pymunk'} & set(sys.modules))\n"

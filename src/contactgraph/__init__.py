@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from contactgraph import plot as plot
     from contactgraph.cli.models import stored_model as load
-    from contactgraph.cli.tasks import make as make
     from contactgraph.control import ILQR as ILQR
     from contactgraph.control import MPC as MPC
     from contactgraph.control import QuadraticCost as QuadraticCost
     from contactgraph.data import read_trajectories as read
     from contactgraph.data import write_trajectories as write
+    from contactgraph.envs.registry import make as make
     from contactgraph.train import fit as fit
 
 __all__ = ["ILQR", "MPC", "QuadraticCost", "fit", "load", "make", "plot", "read", "write"]
@@ -27,7 +27,7 @@ _NAMES = {
     "QuadraticCost": ("contactgraph.control", "QuadraticCost"),
     "fit": ("contactgraph.train", "fit"),
     "load": ("contactgraph.cli.models", "stored_model"),
-    "make": ("contactgraph.cli.tasks", "make"),
+    "make": ("contactgraph.envs.registry", "make"),
     "plot": ("contactgraph.plot", None),
     "read": ("contactgraph.data", "read_trajectories"),
     "write": ("contactgraph.data", "write_trajectories"),

@@ -8,10 +8,10 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 
-from contactgraph.cli.tasks import make, task_names
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
 from contactgraph.envs.episodes import EpisodeStates
+from contactgraph.envs.registry import make, task_names
 
 
 class GymnasiumTask(gymnasium.Env[dict[str, Any], np.ndarray]):

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
@@ -95,6 +96,27 @@ def map_in_order(
                         raise RuntimeError(f"{outcome.item}: {outcome.lost}")
                     results[outcome.item] = outcome.result
             yield results.pop(item)
+
+
+_ALONE_S = 1.0
+"""Time, s, for which one process always works, to measure the duration of an item."""
+_START_S = 1.0
+"""Measured time to start the workers."""
+
+
+def map_if_faster(
+    executor: Executor | None, initializer: Callable[[], Callable[[int], Result]], items: range
+) -> Generator[Result, None, None]:
+    """As `map_in_order`, by this process alone where workers would save no time."""
+    work, began = initializer(), time.perf_counter()
+    for done, item in enumerate(items):
+        spent, left = time.perf_counter() - began, len(items) - done
+        if done and executor is not None and spent > _ALONE_S:
+            alone = spent / done * left
+            if alone * (1.0 - 1.0 / executor.workers) > _START_S:
+                yield from map_in_order(executor, initializer, items[done:])
+                return
+        yield work(item)
 
 
 def usable_cores() -> list[int]:

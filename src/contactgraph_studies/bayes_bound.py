@@ -22,7 +22,6 @@ from tyro.conf import Positional
 
 from contactgraph.cli.options import check_range
 from contactgraph.cli.output import check_writable, write_json
-from contactgraph.cli.tasks import recorded_task
 from contactgraph.data import (
     Dataset,
     InvalidInputError,
@@ -35,7 +34,7 @@ from contactgraph.envs.gripper_task import DT, GRIPPER
 from contactgraph.envs.hidden_contact import HOLD_SHARE
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.evaluate import horizon_steps
-from contactgraph.evaluate.forced import EVERY, Branch, branches
+from contactgraph.evaluate.forced import EVERY, Branch, branches, recorded_task
 from contactgraph.evaluate.statistics import moving_errors
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.tables import StudyTable

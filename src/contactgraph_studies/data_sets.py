@@ -6,7 +6,7 @@ from enum import StrEnum, auto
 from functools import cached_property
 from importlib.util import find_spec
 
-from contactgraph.cli.tasks import known_task
+from contactgraph.envs.registry import task_spec
 from contactgraph_studies.job import PLAIN, Job, Measurement, Options, Variant
 
 TRAINING_SEED, TEST_SEED, SCENE_SEED = 0, 1000, 2000
@@ -60,7 +60,7 @@ class DataSet:
     @property
     def controlled(self) -> bool:
         """Whether its task has a control."""
-        return not known_task(self.slug).passive
+        return not (task_spec(self.slug).passive or "--passive" in self.options)
 
     def row_name(self, scenes: Scenes) -> str:
         """The label of a row of the table."""
@@ -118,7 +118,7 @@ class Amounts:
 
     def episodes_of(self, data: DataSet) -> int:
         """Controlled episodes for each training."""
-        slow = known_task(data.slug).starts or data.slug == "franka"
+        slow = task_spec(data.slug).starts or data.slug == "franka"
         return self.searched_episodes if slow else self.episodes
 
 
@@ -192,7 +192,7 @@ def result_measurements(sets: Sequence[DataSet], amounts: Amounts) -> list[Measu
 def _scripts(data: DataSet, amounts: Amounts) -> Iterator[Measurement]:
     for scenes in data.scenes if data.controlled else ():
         for source in SCRIPTS:
-            task = known_task(scenes.task or data.slug)
+            task = task_spec(scenes.task or data.slug)
             if source is Source.expert or task.fixed_start is not None:
                 output = f"{data.slug}/{source}-{scenes.slug}.json"
                 job = _control(data, scenes, amounts, str(source), output)

@@ -97,8 +97,9 @@ class Reproduce:
         return self.out is None and not self.quick and not self.gate
 
     def _study(self) -> "Study":
-        from contactgraph.cli.options import check_range, choice
+        from contactgraph.cli.options import check_range
         from contactgraph.data import InvalidInputError
+        from contactgraph.data.lookup import choice
         from contactgraph_studies.results_study import ResultsStudy
 
         if self.quick and self.gate:

@@ -8,8 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
+from contactgraph.data.lookup import choice
 from contactgraph_studies.data_sets import (
     DATA_SETS,
     SCRIPTS,

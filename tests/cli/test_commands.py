@@ -15,7 +15,6 @@ import pytest
 import safetensors
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.tasks import known_task, make
 from contactgraph.data import (
     Scene,
     Trajectory,
@@ -24,6 +23,7 @@ from contactgraph.data import (
 )
 from contactgraph.envs import PickupExpert
 from contactgraph.envs.planar.world import ENGINES
+from contactgraph.envs.registry import make, task_spec
 from contactgraph.model import PRESETS, ModelConfig, shipped_model
 from contactgraph.model.io import describe_model, load_model, save_model
 from contactgraph.policies import EpisodeRecord
@@ -337,10 +337,8 @@ def test_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One test condition, with episodes of the expert; the numbers are those of the files."""
-    (first, extra, _) = known_task("pickup").conditions
-    assert extra.extra
-    task = dataclasses.replace(known_task("pickup"), conditions=(first, extra))
-    monkeypatch.setattr("contactgraph.cli.tasks.known_task", lambda name: task)
+    task = dataclasses.replace(task_spec("pickup"), conditions=(("as trained", {}),))
+    monkeypatch.setattr("contactgraph.envs.registry.task_spec", lambda name: task)
     monkeypatch.setattr("contactgraph.policies.task_policy", ByTheExpert)
     page = tmp_path / "report" / "index.html"
     options = ("--test-runs", 1, "--episodes", 2, "--quick", "--beside", "pickup", "pickup")
@@ -353,7 +351,7 @@ def test_report(
     errors = {number["value"] for number in numbers if number["unit"] == "cm"}
     assert any(error == pytest.approx(100 * measured["n_step_rmse_moving_m"]) for error in errors)
     named = {number["what"]: number["value"] for number in numbers}
-    ahead = f"one step ahead, {task.conditions[0].name}"
+    ahead = f"one step ahead, {task.test_conditions()[0].name}"
     assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
     text = page.read_text(encoding="utf-8")
     mine, other = json.loads(text.partition('id="report-data">')[2].partition("<")[0])["beliefs"]

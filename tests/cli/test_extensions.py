@@ -47,7 +47,7 @@ def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("stale", "stale: entry point no_such_module:Stale cannot be loaded: No module named"),
         ("stale --help", "stale: entry point no_such_module:Stale cannot be loaded: No module"),
         ("nameless", "nameless: entry point contactgraph.data:NoSuchName cannot be loaded: mod"),
-        ("number", "number: entry point math:pi cannot be loaded: it must be a type, found 3.14"),
+        ("number", "number: entry point math:pi cannot be loaded: it must be a class, found 3.1"),
         ("collect stale-task --out a.h5", "stale-task: entry point no_such_module:TASK cannot be"),
     ],
 )
@@ -68,7 +68,7 @@ def test_other_commands_and_tasks_remain(
         "  stale       (not available: stale: entry point no_such_module:Stale cannot be loaded",
         "  stale-task            not available: stale-task: entry point no_such_module:TASK",
         "  evaluate    ",
-        "  pickup                a gripper ",
+        "  pickup                A gripper ",
     ):
         assert f"\n{line}" in output
 

@@ -3,7 +3,6 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,9 +11,9 @@ import pytest
 from test_commands import CLOSED_LOOP, OPEN_LOOP, ByTheExpert
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.tasks import TASKS
 from contactgraph.data import read_trajectories
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
+from contactgraph.envs.registry import task_spec
 from contactgraph.evaluate import collect, episode_seeds
 from contactgraph.model import ContactDynamics, shipped_model
 
@@ -66,7 +65,7 @@ def test_the_fixed_start_is_the_tasks_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Here it does nothing."""
-    monkeypatch.setitem(TASKS, "pickup", replace(TASKS["pickup"], fixed_start=RestPolicy))
+    monkeypatch.setattr(PickupTask, "fixed_start", RestPolicy, raising=False)
     result = tmp_path / "out.json"
     assert control("fixed-start", "--json", result) == 0
     values = json.loads(result.read_text())
@@ -80,7 +79,7 @@ def test_the_fixed_start_is_the_tasks_own(
 
 
 def test_without_a_fixed_start_the_demonstrator_takes_its_place(tmp_path: Path) -> None:
-    assert TASKS["door"].fixed_start is None
+    assert task_spec("door").fixed_start is None
     paths = [tmp_path / "expert.json", tmp_path / "fixed.json"]
     for name, path in zip(("expert", "fixed-start"), paths, strict=True):
         assert cli.run(["control", name, "door", "--episodes", "1", "--json", str(path)]) == 0

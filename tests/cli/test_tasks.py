@@ -1,16 +1,27 @@
 """Tasks by name: the library's, those of other packages, and classes named module:Class."""
 
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.known_tasks import TASKS
-from contactgraph.cli.tasks import known_task, task_factory, task_names
 from contactgraph.data import InvalidInputError, read_trajectories
+from contactgraph.envs import ExplorationPolicy, PickupTask, RestPolicy
+from contactgraph.envs.registry import (
+    SHIPPED,
+    TaskSpec,
+    make,
+    task_factory,
+    task_names,
+    task_spec,
+)
+from contactgraph.evaluate.forced import recorded_task
+from contactgraph.policies import planning
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LINE = "extend_task:Line"
@@ -26,15 +37,32 @@ def in_examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_names_are_listed_without_an_import(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.EntryPoint.load", lambda entry: pytest.fail("loaded"))
-    assert task_names() == (*TASKS, "franka") and task_names()[0] == "pickup"
+    assert task_names() == (*SHIPPED, "franka") and task_names()[0] == "pickup"
 
 
 def test_a_task_of_another_package_comes_by_its_entry_point() -> None:
-    franka = known_task("franka")
-    assert (franka.horizon, franka.max_force, len(franka.conditions)) == (50, 20.0, 2)
+    franka = task_spec("franka")
+    assert (franka.horizon, franka.max_force, len(franka.test_conditions())) == (50, 20.0, 2)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_class_has_the_name_that_it_is_listed_under(name: str) -> None:
+    spec = task_spec(name)
+    assert spec.make.name == name and spec.summary
+
+
+def test_neither_jax_nor_a_simulator_is_imported_to_read_a_task() -> None:
+    code = (
+        "import sys\n"
+        "from contactgraph.envs.registry import task_names, task_spec\n"
+        "for name in task_names(): task_spec(name).summary, task_spec(name).options\n"
+        "print({'jax', 'Box2D', 'pymunk', 'mujoco', 'gym_pusht'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
     try:
         box = task_factory(name, {})().action_space
@@ -42,7 +70,7 @@ def test_shipped_tasks_declare_their_largest_force(name: str) -> None:
         pytest.skip(str(error))  # its package is missing
     # Only a bound that is the same for all components and both directions is one number.
     alike = (box.high == box.high[:1]).all() and (box.low == -box.high).all()
-    assert TASKS[name].max_force == (box.high[0] if alike and box.high.size else None)
+    assert task_spec(name).max_force == (box.high[0] if alike and box.high.size else None)
 
 
 def test_collect_and_control_take_a_class(
@@ -52,7 +80,8 @@ def test_collect_and_control_take_a_class(
     options = ["--episodes", "3", "--distractors", "1", "--mixed", "--exploration", "0.34"]
     assert cli.run(["collect", LINE, *options, "--out", str(path)]) == 0
     dataset = read_trajectories(path)
-    assert dataset.metadata == {"task": LINE, "seed": 0, "distractors": 1, "mixed": True}
+    metadata = {"task": LINE, "seed": 0, "distractors": 1, "mixed": True}
+    assert {**dataset.metadata, "simulator": ""} == {**metadata, "simulator": ""}
     assert [each.scene.node_count for each in dataset] == [2, 3, 2]
     policies = [each.scene.metadata["policy"] for each in dataset]
     assert policies == ["PickupExpert", "PickupExpert", "ExplorationPolicy"]
@@ -65,14 +94,14 @@ def test_collect_and_control_take_a_class(
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        (LINE, {"objects": 2}, "--objects: extend_task:Line has no such option; it has --distrac"),
-        (LINE, {"fixed_seed": 3}, "--goal fixed: extend_task:Line has no such option; it has "),
-        ("door", {"passive": True}, "--passive: door has no such option; it has --distractors, "),
-        ("door", {"in_the_way": True}, "--in-the-way: door has no such option; it has --distr"),
-        ("billiards", {"distractors": 2}, "--distractors: billiards has no such option; it has "),
-        ("release", {"hidden_switch": True}, "--hidden-switch: release has no such option; it "),
-        ("toss", {"engine": "pymunk"}, "--engine: toss has no such option; it has none"),
-        ("franka", {"objects": 2}, "--objects: franka has no such option; it has --distractors, "),
+        (LINE, {"objects": 2}, "objects: extend_task:Line has no such option; it has distractors"),
+        (LINE, {"fixed_seed": 3}, "fixed_seed: extend_task:Line has no such option; it has "),
+        ("door", {"passive": True}, "passive: door has no such option; it has distractors, "),
+        ("door", {"in_the_way": True}, "in_the_way: door has no such option; it has distr"),
+        ("billiards", {"distractors": 2}, "distractors: billiards has no such option; it has "),
+        ("release", {"hidden_switch": True}, "hidden_switch: release has no such option; it "),
+        ("toss", {"engine": "pymunk"}, "engine: toss has no such option; it has none"),
+        ("franka", {"objects": 2}, "objects: franka has no such option; it has distractors, "),
     ],
 )
 def test_options_that_a_task_does_not_take(
@@ -107,16 +136,20 @@ def test_what_always_moves_by_itself_needs_no_option(tmp_path: Path) -> None:
     assert (first.position[0] != second.position[0]).any()
 
 
-def test_a_class_without_an_expert_is_explored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = "from contactgraph.envs import PickupTask\n\n\nclass Plain(PickupTask):\n    pass\n"
-    (tmp_path / "plain_task.py").write_text(source)
-    monkeypatch.syspath_prepend(tmp_path)
-    task = known_task("plain_task:Plain")
-    assert type(task.expert()).__name__ == "ExplorationPolicy"
-    assert task.max_force is None
-    sys.modules.pop("plain_task")
+def test_a_class_without_an_expert_is_explored_or_rests() -> None:
+    class Plain:
+        """A task; with more to say."""
+
+    class Undriven:
+        passive = True
+
+    plain, undriven = TaskSpec.of(Plain), TaskSpec.of(Undriven)
+    assert plain.expert is plain.demonstrator is plain.explorer is ExplorationPolicy
+    assert undriven.expert is undriven.demonstrator is undriven.explorer is RestPolicy
+    assert plain.max_force is None and (plain.summary, undriven.summary) == (
+        "A task; with more to say",
+        "",
+    )
 
 
 OWN = """
@@ -129,6 +162,13 @@ class Servo(PickupTask):
     explorer = RestPolicy
     exploration = 0.25
 
+    def __init__(self, gain: float = 1.0, label: str = "none", distractors: int = 0):
+        super().__init__(distractors)
+        self.gain = gain
+
+    def hold_rule(self, seed):
+        return super().hold_rule(seed)[0], {"seen_gain": self.gain}
+
     @property
     def scene(self):
         return replace(super().scene, control_kind=("displacement", "displacement"))
@@ -139,23 +179,110 @@ class Long(Servo):
 """
 
 
-def test_a_class_has_the_defaults_of_a_shipped_task(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its attributes are those of `KnownTask`; how to plan follows from what is controlled."""
+@pytest.fixture
+def own_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a user's class with options of its own."""
     (tmp_path / "own_task.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
-    servo, long = known_task("own_task:Servo"), known_task("own_task:Long")
-    assert type(servo.explorer()).__name__ == "RestPolicy" and servo.exploration == 0.25
-    task = servo.make()
+    yield "own_task:Servo"
+    sys.modules.pop("own_task", None)
+
+
+def begun(name: str) -> object:
+    task = make(name)
     task.reset(seed=0)
-    shipped = TASKS["fetch-push"].horizon, TASKS["fetch-push"].starts
-    assert servo.planning(task.scene) == (*shipped, "the control is a displacement")
-    assert long.planning(task.scene)[:2] == (45, 64)
-    force = TASKS["pickup"].make()
-    force.reset(seed=0)
-    assert TASKS["pickup"].planning(force.scene) == (20, 0, "the control is a force")
-    sys.modules.pop("own_task")
+    return task
+
+
+def test_a_class_has_the_defaults_of_a_shipped_task(own_task: str) -> None:
+    """How to plan follows from what is controlled."""
+    servo = task_spec(own_task)
+    assert servo.explorer is RestPolicy and servo.exploration == 0.25
+    shipped = task_spec("fetch-push")
+    assert planning(begun(own_task)) == (
+        *(shipped.horizon, shipped.starts),
+        "the control is a displacement",
+    )
+    assert planning(begun("own_task:Long"))[:2] == (45, 64)
+    assert planning(begun("pickup")) == (20, 0, "the control is a force")
+    assert planning(begun("billiards")) == (60, 64, "the task says so")
+
+
+def test_a_hidden_switch_changes_how_to_plan() -> None:
+    for hidden, starts in ((False, 0), (True, 32)):
+        task = make("suction", hidden_switch=hidden)
+        task.reset(seed=0)
+        assert planning(task)[:2] == (20, starts)
+
+
+def test_a_class_with_the_attributes_of_a_shipped_task_gets_the_same_entry() -> None:
+    shipped = task_spec("unknown-mass")
+    names = ("expert", "demonstrator", "explorer", "fixed_start", "horizon", "starts")
+    given = {each: getattr(shipped.make, each) for each in (*names, "max_force", "conditions")}
+    own = type("Own", (), {**given, "__doc__": "A pusher moves a block of unknown mass to a goal."})
+    assert replace(TaskSpec.of(own), make=shipped.make) == shipped
+    assert TaskSpec.of(own).summary == shipped.summary
+    inherited = TaskSpec.of(type("Inherited", (PickupTask,), {}))
+    pickup = task_spec("pickup")
+    assert inherited.conditions == pickup.conditions and inherited.expert is pickup.expert
+    assert inherited.demonstrator.keywords == {"noise": 0.0}
+
+
+def test_any_option_of_a_class_comes_by_its_name(own_task: str, tmp_path: Path) -> None:
+    path = tmp_path / "own.h5"
+    pairs = ["--option", "gain=2.5", "--option", "label='two words'", "--option", "distractors=1"]
+    assert cli.run(["collect", own_task, "--episodes", "2", *pairs, "--out", str(path)]) == 0
+    dataset = read_trajectories(path)
+    options = {"gain": 2.5, "label": "two words", "distractors": 1}
+    assert dataset.metadata.items() >= {**options, "task": own_task, "seed": 0}.items()
+    assert [each.scene.metadata["seen_gain"] for each in dataset] == [2.5] * 2
+
+
+def test_an_option_that_is_no_flag_makes_the_recorded_task_again(tmp_path: Path) -> None:
+    path = tmp_path / "wide.h5"
+    options = ["--option", "radius=0.05", "--option", "in_the_way=true", "--distractors", "2"]
+    assert cli.run(["collect", "release", "--episodes", "1", *options, "--out", str(path)]) == 0
+    dataset = read_trajectories(path)
+    (trajectory,) = dataset
+    task = recorded_task(dataset, trajectory)
+    task.reset(seed=trajectory.scene.metadata["seed"])
+    assert (task.scene.radius == 0.05).all() and task.scene.metadata["in_the_way"] is True
+    assert (task.world.position == trajectory.position[0]).all()
+
+
+def test_control_and_play_take_an_option(own_task: str, interrupted: Callable) -> None:
+    calls = interrupted("contactgraph.policies.task_policy")
+    assert cli.run(["control", "pickup", own_task, "--option", "gain=2"]) == 130
+    assert calls[0].arguments[1].gain == 2
+    begun = interrupted("contactgraph.play.Session")
+    assert cli.run(["play", "pickup", own_task, "--option", "gain=3"]) == 130
+    assert begun[0].arguments[1].keywords["options"] == {own_task: {"gain": 3}}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("gani=2", "gani: own_task:Servo has no such option; it has gain, label, distractors"),
+        ("gain", "--option must be KEY=VALUE, found 'gain'"),
+        (
+            "gain=0.0.4",
+            "--option gain: must be a number, true, false, a word or a text in",
+        ),
+        ("gain=[1]", "--option gain: must be a number, true, false, a word or a text in"),
+        ("gain=", "--option gain: must be a number, true, false, a word or a text in"),
+        ("gain=big", "gain of own_task:Servo must be of type float, found 'big'"),
+        ("gain=true", "gain of own_task:Servo must be of type float, found True"),
+        ("distractors=1.5", "distractors of own_task:Servo must be of type int, found 1.5"),
+        ("label=3", "label of own_task:Servo must be of type str, found 3"),
+        ("gain=1 --option gain=2", "--option gain: it is given twice"),
+        ("distractors=1 --distractors 2", "--option distractors: it is given twice"),
+    ],
+)
+def test_an_option_that_cannot_be_used(
+    own_task: str, mistake: Callable, options: str, said: str
+) -> None:
+    for command in (("collect", own_task, "--out", "a.h5"), ("control", "pickup", own_task)):
+        assert mistake(*command, "--option", *options.split()).startswith(said)
 
 
 def test_control_and_play_take_a_planner(

@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import pytest
 
+from contactgraph import parallel
 from contactgraph.cli import collect as collect_command
 from contactgraph.cli import main as cli
 from contactgraph.data import read_trajectories
@@ -32,7 +33,7 @@ class Interrupter:
 @pytest.fixture
 def interrupter(monkeypatch: pytest.MonkeyPatch) -> Interrupter:
     # On a slow machine, other processes would record, where no one is interrupted.
-    monkeypatch.setattr(collecting, "_ALONE_S", float("inf"))
+    monkeypatch.setattr(parallel, "_ALONE_S", float("inf"))
     return Interrupter(monkeypatch)
 
 

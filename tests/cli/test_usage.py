@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.cli.tasks import task_names
 from contactgraph.data import Scene, Trajectory, read_trajectories, write_trajectories
+from contactgraph.envs.registry import task_names
 from contactgraph.model import PRESETS, ModelConfig, shipped_models
 from contactgraph.model.io import save_model
 
@@ -73,7 +73,7 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ("collect pickup --out a.h5 --distractors -1", "distractors must be 0 to 20, found -1"),
         ("collect door --out a.h5 --mixed --distractors -1", "distractors must be 0 to 10, found"),
         ("collect multi-pickup --out a.h5 --mixed --objects 0", "objects must be 1 to 5, found 0"),
-        ("collect franka --out a.h5 --grasp glue", "--grasp must be one of friction, weld; found"),
+        ("collect franka --out a.h5 --grasp glue", "grasp must be one of friction, weld; found"),
         ("collect pickup --out a.h5 --resting 2", "--resting must be 0 to 1, found 2.0"),
         ("collect pickup --out a.h5 --resting nan", "--resting must be 0 to 1, found nan"),
         (

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from contactgraph.cli.tasks import task_factory
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs import (
     BilliardsExpert,
@@ -23,6 +22,7 @@ from contactgraph.envs import (
     check_task,
 )
 from contactgraph.envs.exploration import CorrelatedNoise
+from contactgraph.envs.registry import task_factory
 
 PLANAR = [
     *[("pickup", {"distractors": count}) for count in (0, 1, 20)],

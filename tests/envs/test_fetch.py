@@ -16,17 +16,16 @@ pytest.importorskip(
 )
 
 GRIPPER, OBJECT = 0, 1
-ALL = {"push": "fetch-push", "slide": "fetch-slide", "pick": "fetch-pick-and-place"}
-SCRIPTED = {
-    "push": (fetch.push_fixed_start, fetch.push_expert, fetch.push_explorer),
-    "slide": (fetch.slide_fixed_start, fetch.slide_expert, fetch.slide_explorer),
-    "pick": (fetch.pick_fixed_start, fetch.pick_expert, fetch.pick_explorer),
+ALL = {
+    "push": fetch.FetchPushTask,
+    "slide": fetch.FetchSlideTask,
+    "pick": fetch.FetchPickAndPlaceTask,
 }
 
 
 @pytest.fixture(scope="module")
 def tasks() -> dict[str, AdaptedTask]:
-    return {name: fetch.fetch_task(which) for name, which in ALL.items()}
+    return {name: task() for name, task in ALL.items()}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +33,10 @@ def episodes(tasks: dict[str, AdaptedTask]) -> dict[str, list[list]]:
     """By task, for each of its policies two episodes."""
     seeds = episode_seeds(2, 0)
     return {
-        name: [[run_episode(task, make(), seed) for seed in seeds] for make in SCRIPTED[name]]
+        name: [
+            [run_episode(task, make(), seed) for seed in seeds]
+            for make in (task.fixed_start, task.expert, task.explorer)
+        ]
         for name, task in tasks.items()
     }
 
@@ -47,7 +49,7 @@ def name(request: pytest.FixtureRequest) -> str:
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
     with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[fetch\]'$"):
-        fetch.fetch_task("fetch-push")
+        fetch.FetchPushTask()
 
 
 @pytest.mark.parametrize("found", ["3.7.0", "4.0.0"])
@@ -56,7 +58,7 @@ def test_a_mujoco_with_other_physics_is_refused(
 ) -> None:
     monkeypatch.setattr(fetch, "version", lambda name: found)
     with pytest.raises(InvalidInputError, match=f"needs a MuJoCo below 3.7, found {found}"):
-        fetch.fetch_task("fetch-push")
+        fetch.FetchPushTask()
 
 
 @pytest.mark.parametrize("name", ["push", "pick"])
@@ -71,13 +73,13 @@ def test_the_same_seed_repeats_an_episode_to_the_last_bit(
     name: str, tasks: dict[str, AdaptedTask], episodes: dict[str, list[list]]
 ) -> None:
     first = episodes[name][1][1]
-    again = run_episode(tasks[name], SCRIPTED[name][1](), int(first.scene.metadata["seed"]))
+    again = run_episode(tasks[name], ALL[name].expert(), int(first.scene.metadata["seed"]))
     for field in ("position", "velocity", "control", "contact", "orientation"):
         np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
 
 
 def test_the_pose_and_the_contact_are_the_simulators_own(tasks: dict[str, AdaptedTask]) -> None:
-    task, policy = tasks["push"], fetch.push_fixed_start()
+    task, policy = tasks["push"], fetch.FetchPushTask.fixed_start()
     observation, _ = task.reset(seed=4)
     policy.reset(task.scene, 0)
     inner, touches = task.environment.unwrapped, set()
@@ -127,7 +129,7 @@ def test_a_trajectory_ends_where_the_block_leaves_the_table(tasks: dict[str, Ada
         """Pushes the block over the far edge."""
 
         def reset(self, scene, seed) -> None:
-            self.push = fetch.push_fixed_start()
+            self.push = fetch.FetchPushTask.fixed_start()
             self.push.reset(scene, seed)
 
         def __call__(self, observation) -> np.ndarray:

@@ -17,21 +17,21 @@ AGENT_RADIUS, CENTRE = 0.015, np.array([0.0, 0.045])
 @pytest.fixture(scope="module")
 def pushes() -> list:
     """Four episodes of each policy."""
-    task = pusht.pusht_task()
-    made = (pusht.pusht_fixed_start, pusht.pusht_expert, pusht.pusht_explorer)
+    task = pusht.PushTTask()
+    made = (task.fixed_start, task.expert, task.explorer)
     return [[run_episode(task, make(), seed) for seed in episode_seeds(4, 0)] for make in made]
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "gym_pusht", None)
     with pytest.raises(InvalidInputError, match=r"pip install 'contactgraph\[pusht\]'$"):
-        pusht.pusht_task()
+        pusht.PushTTask()
 
 
 def test_the_fixed_start_reaches_every_goal_and_the_same_seed_repeats_it(pushes: list) -> None:
     assert [each.scene.metadata["success"] for each in pushes[0]] == [True] * 4
     again = run_episode(
-        pusht.pusht_task(), pusht.pusht_fixed_start(), int(pushes[0][1].scene.metadata["seed"])
+        pusht.PushTTask(), pusht.PushTTask.fixed_start(), int(pushes[0][1].scene.metadata["seed"])
     )
     for name in ("position", "control", "orientation", "contact"):
         np.testing.assert_array_equal(getattr(again, name), getattr(pushes[0][1], name))
@@ -82,7 +82,7 @@ def test_contacts_of_a_step_are_where_the_outlines_meet_in_it(pushes: list) -> N
 
 
 def test_the_pose_is_the_environments_own_until_the_block_leaves_the_table() -> None:
-    task = pusht.pusht_task()
+    task = pusht.PushTTask()
     observation, _ = task.reset(seed=4)
     turned, over = observation["orientation"][1, 0], False
     while not over:
@@ -101,7 +101,7 @@ def test_the_pose_is_the_environments_own_until_the_block_leaves_the_table() -> 
 
 
 def test_the_goal_is_the_goal_poses_centre_of_mass() -> None:
-    task = pusht.pusht_task()
+    task = pusht.PushTTask()
     observation, _ = task.reset(seed=0)
     body = task.environment.unwrapped.get_goal_pose_body(np.array([256, 256, np.pi / 4]))
     centre = body.local_to_world((0.0, 45.0))
@@ -109,12 +109,12 @@ def test_the_goal_is_the_goal_poses_centre_of_mass() -> None:
 
 
 def test_a_rest_keeps_the_agent_where_it_is() -> None:
-    trajectory = run_episode(pusht.pusht_task(), RestPolicy(), 2)
+    trajectory = run_episode(pusht.PushTTask(), RestPolicy(), 2)
     assert np.ptp(trajectory.position, axis=0).max() < 1e-6
 
 
 def test_no_scene_begins_in_contact_and_exploration_moves_the_block(pushes: list) -> None:
-    task = pusht.pusht_task()
+    task = pusht.PushTTask()
     for seed in range(40):
         observation, _ = task.reset(seed=seed)
         assert not observation["contact"].any()
@@ -128,7 +128,7 @@ def test_gentle_and_rough_pushes_differ_in_speed(pushes: list) -> None:
 
 
 def test_the_pose_task_succeeds_where_the_t_covers_its_outline_at_the_goal() -> None:
-    task = pusht.pusht_pose_task()
+    task = pusht.PushTPoseTask()
     run = run_episode(task, RestPolicy(), 3)
     assert run.steps == task.max_steps == 300 and not task.success()
     assert run.scene.metadata["best_score"] == task.best_score() < 0.9

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from contactgraph import parallel
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import (
     DoorExpert,
@@ -15,7 +16,6 @@ from contactgraph.envs import (
     PickupTask,
     RestPolicy,
 )
-from contactgraph.envs import episodes as collecting
 from contactgraph.envs.episodes import Episode
 from contactgraph.evaluate import collect, run_episode
 from contactgraph.parallel import LocalExecutor
@@ -178,8 +178,8 @@ class Signed(PickupTask):
 
 def test_several_processes_record_the_same_bits_as_one(monkeypatch):
     # Processes begin after the first run, whether they pay or not.
-    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
-    monkeypatch.setattr(collecting, "_START_S", 0.0)
+    monkeypatch.setattr(parallel, "_ALONE_S", 0.0)
+    monkeypatch.setattr(parallel, "_START_S", 0.0)
     # Runs follow other runs than they would in one process: nothing may be left of those.
     tasks, reported = [Signed, partial(DoorTask, fixed_seed=7)], []
     mix = [PickupExpert(), DoorExpert(), ExplorationPolicy(), DoorExpert()]
@@ -195,5 +195,5 @@ def test_quick_episodes_start_no_workers(monkeypatch):
     def map_in_order(*arguments):
         raise AssertionError("it does not pay")
 
-    monkeypatch.setattr(collecting, "map_in_order", map_in_order)
+    monkeypatch.setattr(parallel, "map_in_order", map_in_order)
     assert len(collect([PickupTask], [PickupExpert()], 5, 0, executor=LocalExecutor(64))) == 5

@@ -22,11 +22,11 @@ def test_minari_writes_and_reads_fetch_push(
     import gymnasium_robotics
     import minari
 
-    from contactgraph.envs.fetch import fetch_task
+    from contactgraph.envs.fetch import FetchPushTask
 
     gymnasium.register_envs(gymnasium_robotics)
     environment = minari.DataCollector(gymnasium.make("FetchPush-v4", max_episode_steps=6))
-    task, states, rng = fetch_task("fetch-push"), [], np.random.default_rng(0)
+    task, states, rng = FetchPushTask(), [], np.random.default_rng(0)
     for seed in range(2):
         observation, _ = environment.reset(seed=seed)
         states.append([state_after(task.mapped(observation), None)])

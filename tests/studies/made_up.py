@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contactgraph.cli.task_types import TestCondition
+from contactgraph.envs.registry import TestCondition
 from contactgraph_studies.cost.config import COST_TASKS, FULL_COST, SCENE_SEED, CostTest
 from contactgraph_studies.cost.jobs import cost_measurements
 from contactgraph_studies.paper.config import EVERY_TASK, FAMILIES, TEST_SEED, Amounts, StudyModel

@@ -124,7 +124,7 @@ def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
         control=force,
     )
     write_trajectories(tmp_path / "cells" / "door" / "seed-0" / "own-cost.h5", [run])
-    assert DOOR.known.max_force == 10.0
+    assert DOOR.spec.max_force == 10.0
     answers = read_answers(tmp_path, wanted, DOOR, learned)
     assert [each.at_limit for each in answers] == pytest.approx([0.5, np.nan], nan_ok=True)
     found = known_answer_terms(own, answers)[0][RATIO].values

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from fake_worker import FakeWorker, done
 
+from contactgraph import parallel
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError
-from contactgraph.envs import episodes as collecting
 from contactgraph.parallel import map_in_order
 from contactgraph_studies.job import Job, JobRecords, in_dependency_order
 from contactgraph_studies.runner import Failure, Progress, run_jobs
@@ -57,8 +57,8 @@ def nodes() -> Iterator[Cluster]:
 def test_recorded_on_a_cluster_a_file_is_the_same(
     tmp_path: Path, nodes: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(collecting, "_ALONE_S", 0.0)
-    monkeypatch.setattr(collecting, "_START_S", 0.0)
+    monkeypatch.setattr(parallel, "_ALONE_S", 0.0)
+    monkeypatch.setattr(parallel, "_START_S", 0.0)
     monkeypatch.chdir(tmp_path)
     arguments = ["collect", "pickup", "--episodes", "7", "--distractors", "2", "--mixed"]
     assert cli.run([*arguments, "--out", "a.h5", "--cluster", f"ray:{nodes.address}"]) == 0

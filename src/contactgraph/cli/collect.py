@@ -20,6 +20,7 @@ from contactgraph.cli.options import (
     Grasp,
     HiddenSwitch,
     Objects,
+    OptionPairs,
     TaskArgument,
 )
 from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
@@ -47,6 +48,7 @@ class Collect:
     dominoes and stack are always so."""
     hidden_switch: HiddenSwitch = False
     engine: Engine = None
+    option: OptionPairs = ()
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -68,26 +70,29 @@ class Collect:
             check_episodes,
             check_seed,
             check_share,
-            choice,
+            given_options,
             open_executor,
+            options_metadata,
         )
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.cli.task_types import given_options, options_metadata
-        from contactgraph.cli.tasks import known_task, mixed_factories, task_factory
+        from contactgraph.data.lookup import choice
         from contactgraph.envs import RestPolicy
         from contactgraph.envs.episodes import collect, fixed_seed
+        from contactgraph.envs.registry import task_factory, task_spec
 
         check_episodes(self.episodes)
         check_seed(self.seed)
         shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
-        options = given_options(self)
+        options, task = given_options(self), task_spec(self.task)
+        if task.passive:
+            options.pop("passive", None)  # it always is
         if shared is not None:
+            if "fixed_seed" not in task.options:
+                raise InvalidInputError(f"--goal fixed: {self.task} has no option fixed_seed")
             options["fixed_seed"] = shared
-        if self.mixed:
-            factories = mixed_factories(self.task, options)
-        else:
-            factories = [task_factory(self.task, options)]
-        task = known_task(self.task)
+        task_factory(self.task, options)
+        scenes = _mixed(options) if self.mixed else [options]
+        factories = [task_factory(self.task, each) for each in scenes]
         demonstrates = choice("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
         check_share("--resting", self.resting)
@@ -131,7 +136,7 @@ class Collect:
                 executor=executor,
                 recorded=unfinished.recorded,
             )
-        metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
+        metadata = {**options_metadata(options), "task": self.task, "seed": self.seed}
         if self.mixed:
             metadata["mixed"] = True
         if demonstrates:
@@ -146,6 +151,23 @@ class Collect:
         if experts:
             successes = sum(bool(each.scene.metadata["success"]) for each in trajectories[:experts])
             print(f"the expert succeeded in {successes} of {experts} episodes")
+
+
+def _mixed(options: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Options of scenes with 0 to ``distractors`` distractors, and 1 to ``objects`` objects.
+
+    Raises `InvalidInputError` if episodes of one goal were to differ in their objects.
+    """
+    most, others = options.get("objects"), dict(options)
+    if options.get("fixed_seed") is not None and most not in (None, 1):
+        raise InvalidInputError(
+            "--goal fixed: all episodes have the same objects, so --mixed takes --objects 1 or "
+            f"none, found {most}"
+        )
+    counts = [{}] if most is None else [{"objects": each} for each in range(1, most + 1)]
+    distractors = others.pop("distractors", None)
+    more = [{}] if distractors is None else [{"distractors": n} for n in range(distractors + 1)]
+    return [{**others, **one, **other} for one in counts for other in more]
 
 
 _SAVE_INTERVAL_S = 10.0

@@ -26,6 +26,7 @@ from contactgraph.cli.options import (
     MetricNames,
     Misses,
     Objects,
+    OptionPairs,
     OutputFile,
     PlannerName,
     Routes,
@@ -95,6 +96,7 @@ class Control:
     """Radius of every body of pickup, m."""
     in_the_way: bool = False
     """pickup: a straight way to the target and the goal touches two distractors or more."""
+    option: OptionPairs = ()
     clearance: Clearance = None
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
@@ -138,11 +140,16 @@ class Control:
         """
         from contactgraph.cli.control_output import not_planned, not_predicted, print_summary
         from contactgraph.cli.models import data_simulator
-        from contactgraph.cli.options import check_episodes, check_seed, own_functions
+        from contactgraph.cli.options import (
+            check_episodes,
+            check_seed,
+            given_options,
+            options_metadata,
+            own_functions,
+        )
         from contactgraph.cli.output import check_writable, progress, write_json
-        from contactgraph.cli.task_types import given_options, options_metadata
-        from contactgraph.cli.tasks import task_factory
         from contactgraph.data import Dataset, write_trajectories
+        from contactgraph.envs.registry import task_factory
         from contactgraph.evaluate import control_task
         from contactgraph.viz import check_animation, write_animation
 
@@ -177,7 +184,7 @@ class Control:
         long = any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories)
         if controller.predictor is not None and long:
             predicted = controller.predictor(Dataset(tuple(trajectories))).to_json()
-        metadata = {"task": self.task, "seed": self.seed, **options_metadata(options)}
+        metadata = {**options_metadata(options), "task": self.task, "seed": self.seed}
 
         def drawn(name: str) -> "SceneTrajectory":
             return controller.drawn(name, trajectories[0], first[0])
@@ -202,30 +209,31 @@ class Control:
 
     def _mpc(self, task: "Task") -> _Controller:
         """MPC with the model."""
-        from contactgraph.cli.known_tasks import HIDDEN_HOLD_STARTS
         from contactgraph.cli.models import motion_evidence, stored_model, with_inference
-        from contactgraph.cli.options import check_range, load_object, sensor_fault
-        from contactgraph.cli.tasks import known_task
+        from contactgraph.cli.options import check_range, sensor_fault
         from contactgraph.control import read_cost, searches
         from contactgraph.data import InvalidInputError
+        from contactgraph.data.lookup import load_object
         from contactgraph.evaluate import evaluate_open_loop
-        from contactgraph.policies import ObservationNoise, task_policy
+        from contactgraph.policies import ObservationNoise, planning, task_policy
         from contactgraph.viz import scene_trajectory
 
         cost = None if self.cost is None else read_cost(self.cost)
         task.reset(seed=self.seed)
-        horizon, known_starts, reason = known_task(self.task).planning(task.scene)
+        horizon, default_starts, reason = planning(task)
         if cost is not None and not cost.contacts:
             horizon *= _HORIZON_WITHOUT_CONTACTS
         if self.horizon is not None:
             horizon, reason = self.horizon, "--horizon"
         check_range("--horizon", horizon, 1, 1000)
         check_range("--iterations", self.iterations, 1, 1000)
-        routes = (0 if self.clearance is None else _ROUTES) if self.routes is None else self.routes
+        of_task = getattr(task, "clearance", None)
+        clearance = of_task if self.clearance is None else self.clearance
+        routes = (0 if clearance is None else _ROUTES) if self.routes is None else self.routes
         check_range("--starts", self.starts or 0, 0, 10_000)
         check_range("--routes", routes, 0, 1000)
         check_range("--segment", self.segment, 0, horizon)
-        check_range("--clearance", self.clearance or 0, 0, 10)
+        check_range("--clearance", clearance or 0, 0, 10)
         fault = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, self.seed)
         if self.unmeasured and not fault.exact:
             raise InvalidInputError(
@@ -243,8 +251,7 @@ class Control:
                 )
             planner, starts, routes = load_object("--planner", self.planner), 0, 0
         if starts is None:
-            starts = HIDDEN_HOLD_STARTS if self.hidden_switch else known_starts
-            starts = starts if searches(model) and not routes + self.segment else 0
+            starts = default_starts if searches(model) and not routes + self.segment else 0
         tried = {"approaches": starts, "routes": routes, "steps of short plans": self.segment}
         search = "; ".join(["iLQR", *(f"{n} {what}" for what, n in tried.items() if n)])
         by_motion = motion_evidence(model, self.ignore_motion, noise.position, noise.velocity)
@@ -259,7 +266,7 @@ class Control:
             routes=routes,
             segment=self.segment,
             planner=planner,
-            clearance=self.clearance,
+            clearance=clearance,
             replan_every=self.replan_every,
             deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
             faults=fault,
@@ -273,6 +280,7 @@ class Control:
             "horizon": horizon,
             "starts": starts,
             "routes": routes,
+            "clearance": clearance,
             "infer_contacts": by_motion is not None,
         }
         return _Controller(
@@ -287,8 +295,8 @@ class Control:
 
     def _script(self) -> _Controller:
         """A scripted policy, which predicts, plans and estimates nothing."""
-        from contactgraph.cli.tasks import known_task
         from contactgraph.data import InvalidInputError
+        from contactgraph.envs.registry import task_spec
         from contactgraph.viz import recorded_scene
 
         defaults = {each.name: each.default for each in fields(self)}
@@ -300,10 +308,10 @@ class Control:
                 f"{flags}: for a model only; {self.model} is a scripted policy, which neither "
                 "plans nor estimates"
             )
-        known = known_task(self.task)
-        fixed_start = self.model == "fixed-start" and known.fixed_start
+        task = task_spec(self.task)
+        fixed_start = self.model == "fixed-start" and task.fixed_start
         return _Controller(
-            (fixed_start or known.demonstrator)(),
+            (fixed_start or task.demonstrator)(),
             dict.fromkeys((*_RECORDED, "infer_contacts")),
             lambda name, trajectory, _: recorded_scene(name, trajectory),
         )

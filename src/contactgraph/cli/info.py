@@ -48,8 +48,8 @@ class Info:
 
 
 def _print_names() -> None:
-    from contactgraph.cli.tasks import known_task, task_factory, task_names
     from contactgraph.data import InvalidInputError
+    from contactgraph.envs.registry import task_factory, task_names, task_spec
     from contactgraph.model import shipped_model, shipped_models
     from contactgraph.model.io import describe_model
 
@@ -64,7 +64,7 @@ def _print_names() -> None:
     for name in task_names():
         try:
             task_factory(name, {})
-            text = known_task(name).summary
+            text = task_spec(name).summary
         except (InvalidInputError, ImportError) as error:  # a missing extra
             text = f"not available: {error}"
         print(f"  {name:<{width}}{text}")

@@ -33,10 +33,10 @@ class Import:
         """Read, convert and write."""
         import sys
 
-        from contactgraph.cli.options import choice
         from contactgraph.cli.output import check_writable
         from contactgraph.data import Dataset, InvalidInputError
         from contactgraph.data import write_trajectories as write
+        from contactgraph.data.lookup import choice
         from contactgraph.interchange import (
             read_map,
             shipped_maps,
@@ -105,8 +105,8 @@ class Export:
 
     def run(self) -> None:
         """Read and write."""
-        from contactgraph.cli.options import choice
         from contactgraph.data import read_trajectories
+        from contactgraph.data.lookup import choice
         from contactgraph.interchange.csv_table import write_csv
         from contactgraph.interchange.export_layout import export_layout
         from contactgraph.interchange.lerobot import write_lerobot

@@ -11,8 +11,8 @@ from tyro.conf import Positional, arg
 from contactgraph.cli.options import AUTO, Device, ModelArgument
 
 if TYPE_CHECKING:
-    from contactgraph.cli.task_types import KnownTask
     from contactgraph.data import Dataset
+    from contactgraph.envs.registry import TaskSpec
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,9 @@ class LearnCost:
         return Dataset(dataset.trajectories[: self.runs], dataset.metadata)
 
 
-def _task_of(dataset: "Dataset") -> "KnownTask | None":
+def _task_of(dataset: "Dataset") -> "TaskSpec | None":
     """The task that the dataset names. A file does not get to import a class: names only."""
-    from contactgraph.cli.tasks import known_task, task_names
+    from contactgraph.envs.registry import task_names, task_spec
 
     name = str(dataset.metadata.get("task"))
-    return known_task(name) if name in task_names() else None
+    return task_spec(name) if name in task_names() else None

@@ -25,11 +25,12 @@ from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.info import Info
 from contactgraph.cli.interchange import Export, Import
 from contactgraph.cli.learn_cost import LearnCost
-from contactgraph.cli.options import load_entry_point, use_device
+from contactgraph.cli.options import use_device
 from contactgraph.cli.play import Play
 from contactgraph.cli.report import Report
 from contactgraph.cli.train import Train
 from contactgraph.data import InvalidInputError
+from contactgraph.data.lookup import load_entry_point
 
 
 class Command(Protocol):
@@ -122,7 +123,7 @@ def _names() -> list[str]:
 
 
 def _command(name: str) -> type[Command]:
-    command = _COMMANDS.get(name) or load_entry_point(_GROUP, name, type)
+    command = _COMMANDS.get(name) or load_entry_point(_GROUP, name)
     if command is None:
         raise InvalidInputError(_unknown(name, _names()))
     return command

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from contactgraph.cli.models import in_steps_of, motion_evidence, stored_model
-from contactgraph.cli.task_types import TestCondition
 from contactgraph.data import read_trajectories
+from contactgraph.envs.registry import TestCondition
 from contactgraph.model.io import ModelSummary
 from contactgraph.viz import (
     BeliefTimeline,

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from contactgraph.bodies.graph import first_where, usual_edge_types
-from contactgraph.cli.options import TEMPERATURE, choice, load_object
+from contactgraph.cli.options import TEMPERATURE
 from contactgraph.data import Dataset, InvalidInputError, subsample
+from contactgraph.data.lookup import choice, load_object
 from contactgraph.identify import Facts, identify, relation_facts, scene_facts
 from contactgraph.model import (
     PAPER_PRESETS,

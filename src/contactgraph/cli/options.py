@@ -1,24 +1,26 @@
 """Values of command line options: names looked up, numbers checked before any work is done."""
 
-import importlib
+import ast
 import math
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields
 from importlib.metadata import entry_points
+from operator import ne
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from contactgraph.data import InvalidInputError
+from contactgraph.data.lookup import choice, load_object
 from contactgraph.parallel import Executor, LocalExecutor
 
 if TYPE_CHECKING:
     from contactgraph.policies import SensorFault
-
-Value = TypeVar("Value")
 
 AUTO = "auto"
 """In place of a model's name: chosen by the data."""
@@ -75,6 +77,16 @@ Objects = Annotated[
 HiddenSwitch = Annotated[
     bool,
     arg(help="suction: a random process that nothing records operates the switch."),
+]
+OptionPairs = Annotated[
+    tuple[str, ...],
+    arg(
+        metavar="KEY=VALUE",
+        help="An option of the task by the name of its constructor's argument, such as radius=0.05 "
+        "or name='two words'; repeatable.",
+        help_behavior_hint="(none)",
+    ),
+    UseAppendAction,
 ]
 Engine = Annotated[
     str | None,
@@ -183,48 +195,65 @@ _LARGEST_SEED = 2**32 - 1
 """Random keys are made of 32 bits: a larger seed would give the numbers of a smaller one."""
 
 
-def choice(what: str, name: str, table: dict[str, Value]) -> Value:
-    """The table's entry. Raises `InvalidInputError`, which lists the valid names, without one."""
-    if name not in table:
-        raise InvalidInputError(f"{what} must be one of {', '.join(table)}; found {name!r}")
-    return table[name]
+FLAGS = (
+    *("distractors", "objects", "grasp", "radius", "passive", "hidden_switch"),
+    *("in_the_way", "engine"),
+)
+"""Options of tasks that are flags of the commands; ``fixed_seed`` is ``--goal fixed``."""
+_WORD = re.compile(r"[A-Za-z_./][\w./:+-]*")
+"""Text that needs no quotes in a value of ``--option``."""
 
 
-def load_object(what: str, name: str) -> Any:
-    """The object ``module:name``; modules are also looked for in the current folder.
+def given_options(command: Any) -> dict[str, Any]:
+    """The options of a command's scenes by name: flags that differ from their defaults, and pairs.
 
-    Raises `InvalidInputError` if the module cannot be imported or has no such name.
+    Raises `InvalidInputError` for a pair of ``--option`` that cannot be read.
     """
-    module_name, _, attribute = name.partition(":")
-    if "" not in sys.path:
-        sys.path.append("")  # worker processes get the same path
+    values = {each.name: (getattr(command, each.name), each.default) for each in fields(command)}
+    options = {name: values[name][0] for name in FLAGS if name in values and ne(*values[name])}
+    for pair in command.option:
+        name, equals, text = pair.partition("=")
+        if not (name.isidentifier() and equals):
+            raise InvalidInputError(f"--option must be KEY=VALUE, found {pair!r}")
+        if name in options:
+            raise InvalidInputError(f"--option {name}: it is given twice")
+        options[name] = _read_value(name, text)
+    return options
+
+
+def _read_value(name: str, text: str) -> bool | int | float | str:
+    """A literal of Python, or of TOML, or a word."""
+    if text in ("true", "false"):
+        return text == "true"
     try:
-        found: Any = importlib.import_module(module_name)
-        for part in attribute.split("."):
-            found = getattr(found, part)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidInputError(f"{what} {name}: {error}") from error
-    return found
+        value = ast.literal_eval(text)
+    except (SyntaxError, ValueError):
+        value = text if _WORD.fullmatch(text) else None
+    if not isinstance(value, bool | int | float | str):
+        raise InvalidInputError(
+            f"--option {name}: must be a number, true, false, a word or a text in quotes, found "
+            f"{text!r}"
+        )
+    return value
 
 
-def load_entry_point(group: str, name: str, expected: type[Value]) -> Value | None:
-    """The object that an installed package registers as ``name`` in ``group``; None without one.
+def option_arguments(options: Mapping[str, Any]) -> tuple[str, ...]:
+    """The arguments of ``collect`` and ``control`` that give these options."""
+    arguments: list[str] = []
+    for name, value in options.items():
+        flag = f"--{name.replace('_', '-')}"
+        if name not in FLAGS or value is False:
+            arguments += ["--option", f"{name}={value}"]
+        else:
+            arguments += [flag] if value is True else [flag, str(value)]
+    return tuple(arguments)
 
-    Raises `InvalidInputError`, which names the entry point, if it cannot be loaded.
-    """
-    for entry in entry_points(group=group, name=name):
-        try:
-            loaded = entry.load()
-            if not isinstance(loaded, expected):
-                raise TypeError(f"it must be a {expected.__name__}, found {loaded!r}")
-            return loaded
-        except InvalidInputError:  # a missing extra
-            raise
-        except Exception as error:
-            reason = f"{name}: entry point {entry.value} cannot be loaded: {error}"
-            package = "its package" if entry.dist is None else entry.dist.name
-            raise InvalidInputError(f"{reason}; reinstall {package}") from error
-    return None
+
+def options_metadata(options: Mapping[str, Any]) -> dict[str, str | int | float]:
+    """The options of scenes, for the metadata of written files; those tell the engine already."""
+    given = {name: value for name, value in options.items() if name not in ("fixed_seed", "engine")}
+    goal = {} if options.get("fixed_seed") is None else {"goal": "fixed"}
+    return {"distractors": 0, **given, **goal}
 
 
 def check_range(flag: str, value: float, lowest: int, highest: int) -> None:

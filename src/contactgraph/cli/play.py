@@ -1,16 +1,17 @@
 """``contactgraph play``: a live page, on which a model controls a task and a hand disturbs it."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, Device, OutputFile, PlannerName
+from contactgraph.cli.options import AUTO, Device, OptionPairs, OutputFile, PlannerName
 
 if TYPE_CHECKING:
-    from contactgraph.cli.task_types import KnownTask
     from contactgraph.play import StageChoice, StageParts
     from contactgraph.policies import PlannerFactory
 
@@ -44,6 +45,7 @@ class Play:
     """A task that contactgraph info lists, or module:Class."""
     distractors: int = 0
     """Further bodies to begin with."""
+    option: OptionPairs = ()
     seed: int = 0
     """Random seed of the scenes."""
     port: int = 0
@@ -60,11 +62,11 @@ class Play:
         import asyncio
         import webbrowser
 
-        from contactgraph.cli.known_tasks import TASKS
-        from contactgraph.cli.options import check_range, check_seed, load_object
+        from contactgraph.cli.options import check_range, check_seed, given_options
         from contactgraph.cli.output import check_writable
-        from contactgraph.cli.tasks import task_names
         from contactgraph.data import InvalidInputError
+        from contactgraph.data.lookup import load_object
+        from contactgraph.envs.registry import SHIPPED, task_factory, task_names, task_spec
         from contactgraph.model import shipped_models
         from contactgraph.play import Session, StageChoice
         from contactgraph.play.server import listening_socket, origin_of, serve_session
@@ -80,11 +82,15 @@ class Play:
                     f"{self.model}: name the task too; only shipped models have one of their name"
                 )
         models = dict.fromkeys((self.model, *shipped_models()))
-        driven = [name for name in task_names() if name not in TASKS or _is_driven(TASKS[name])]
+        others = [name for name in task_names() if name not in SHIPPED]
+        driven = [*(name for name in SHIPPED if not task_spec(name).passive), *others]
         tasks = dict.fromkeys((task, *driven))
         choice = StageChoice(self.model, task, self.distractors)
         planner = None if self.planner is None else load_object("--planner", self.planner)
-        parts = partial(stage_parts, planner=planner)
+        options = given_options(self)
+        task_factory(task, options)
+        options.pop("distractors", None)  # the page chooses them
+        parts = partial(stage_parts, planner=planner, options={task: options})
         session = Session(choice, parts, tuple(models), tuple(tasks), self.seed, self.record)
         listening = listening_socket(self.port)
         url = f"{origin_of(listening)}/"
@@ -108,25 +114,28 @@ class Play:
             raise session.failure
 
 
-def _is_driven(task: "KnownTask") -> bool:
-    from contactgraph.envs import RestPolicy
+def stage_parts(
+    choice: "StageChoice",
+    planner: "PlannerFactory | None" = None,
+    options: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> "StageParts":
+    """The model and the task of these names; raises `InvalidInputError`.
 
-    return task.demonstrator is not RestPolicy
-
-
-def stage_parts(choice: "StageChoice", planner: "PlannerFactory | None" = None) -> "StageParts":
-    """The model and the task of these names; raises `InvalidInputError`."""
+    ``options`` are those of tasks by name.
+    """
     from contactgraph.cli.models import motion_evidence, stored_model
-    from contactgraph.cli.tasks import known_task, task_factory
     from contactgraph.control import searches
+    from contactgraph.envs.registry import task_factory
     from contactgraph.play import StageParts
+    from contactgraph.policies import planning
 
-    known = known_task(choice.task)
-    options = {"distractors": choice.distractors} if choice.distractors else {}
-    task = task_factory(choice.task, options)()
+    given = {**options.get(choice.task, {})}
+    if choice.distractors:
+        given["distractors"] = choice.distractors
+    task = task_factory(choice.task, given)()
     task.reset(seed=0)
     model = stored_model(choice.model)
-    horizon, starts, _ = known.planning(task.scene)
+    horizon, starts, _ = planning(task)
     return StageParts(
         model=model,
         task=task,

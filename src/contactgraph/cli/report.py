@@ -10,11 +10,11 @@ from tyro.conf import arg
 from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
-from contactgraph.cli.options import AUTO, Device, ModelArgument
+from contactgraph.cli.options import AUTO, Device, ModelArgument, option_arguments
 
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult
-    from contactgraph.cli.task_types import KnownTask, TestCondition
+    from contactgraph.envs.registry import TaskSpec, TestCondition
     from contactgraph.model.io import ModelSummary
     from contactgraph.viz import BeliefTimeline, SceneTrajectory
 
@@ -52,22 +52,22 @@ class Report:
         """Test, and write the page."""
         from contactgraph.cli.models import model_path, run_folder
         from contactgraph.cli.output import check_writable
-        from contactgraph.cli.tasks import known_task
         from contactgraph.data import InvalidInputError
+        from contactgraph.envs.registry import task_spec
         from contactgraph.model.io import describe_model
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
         if self.beside is not None:
             model_path(self.beside[0])
-            known_task(self.beside[1])
+            task_spec(self.beside[1])
         page = self.out or (run_folder(self.model) or Path()) / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
-        task, summary = known_task(self.task), describe_model(model_path(self.model))
+        task, summary = task_spec(self.task), describe_model(model_path(self.model))
         cells = page.parent / "cells"
         cells.mkdir(parents=True, exist_ok=True)
-        conditions = [each for each in task.conditions if not (self.quick and each.extra)]
+        conditions = task.test_conditions(every=not self.quick)
         tested = [self._test(cells, condition) for condition in conditions]
         results, scenes = [result for result, _ in tested], [scene for _, scene in tested]
         timelines = self._timelines(cells, results[0])
@@ -82,9 +82,9 @@ class Report:
         """
         from contactgraph.cli.model_report import ConditionResult
 
-        distractors, objects = condition.distractors, condition.objects
+        pairs = tuple(f"{name}={value!r}" for name, value in condition.options.items())
         data, open_loop = _files(folder, condition.slug)
-        Collect(self.task, data, self.test_runs, self.seed, distractors, objects).run()
+        Collect(self.task, data, self.test_runs, self.seed, option=pairs).run()
         Evaluate(self.model, data, open_loop).run()
         closed_loop = folder / f"control-{condition.slug}.json"
         scene = Control(
@@ -92,12 +92,11 @@ class Report:
             self.task,
             self.episodes,
             self.seed,
-            distractors,
-            objects,
+            option=pairs,
             json=closed_loop,
             save=folder / f"control-{condition.slug}.h5",
         ).run()
-        options = " ".join(("", *condition.options))
+        options = " ".join(("", *option_arguments(condition.options)))
         result = ConditionResult(
             condition=condition,
             open_loop=_read(open_loop),
@@ -111,16 +110,15 @@ class Report:
     def _timelines(self, folder: Path, result: "ConditionResult") -> "list[BeliefTimeline]":
         """Beliefs of both models over time, each on scenes as in training, where there are any."""
         from contactgraph.cli.model_report import inferred_beliefs
-        from contactgraph.cli.tasks import known_task
+        from contactgraph.envs.registry import task_spec
 
         data, _ = _files(folder, result.condition.slug)
         timelines = [inferred_beliefs(self.model, self.task, data, result.open_loop)]
         if self.beside is not None:
             model, task = self.beside
-            condition = known_task(task).conditions[0]
+            condition = task_spec(task).test_conditions()[0]
             data, open_loop = _files(folder, f"beside-{condition.slug}")
-            objects = condition.objects
-            Collect(task, data, self.test_runs, self.seed, condition.distractors, objects).run()
+            Collect(task, data, self.test_runs, self.seed).run()
             Evaluate(model, data, open_loop).run()
             timelines.append(inferred_beliefs(model, task, data, _read(open_loop)))
         return [each for each in timelines if each is not None]
@@ -128,7 +126,7 @@ class Report:
     def _write(
         self,
         page: Path,
-        task: "KnownTask",
+        task: "TaskSpec",
         summary: "ModelSummary",
         results: "list[ConditionResult]",
         scenes: "list[SceneTrajectory]",

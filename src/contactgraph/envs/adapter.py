@@ -12,6 +12,7 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.gripper_task import observation_space
 from contactgraph.interchange.conversion import State, state_after
 from contactgraph.interchange.map_entries import Entries
 from contactgraph.interchange.measurements import MappedEpisode, map_scene
@@ -101,7 +102,10 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         self.action_space = gymnasium.spaces.Box(
             ends.min(axis=0), ends.max(axis=0), dtype=np.float64
         )
-        self.observation_space = self._observation_space()
+        size, turning = (len(self.map.bodies), self.map.dimension), (_LARGEST, _LARGEST)
+        self.observation_space = observation_space(
+            *size, _LARGEST, _LARGEST, _LARGEST, turning if self.turns else None
+        )
         self._scene: Scene | None = None
         self._state: State = {}
         self._info: dict[str, Any] = {}
@@ -246,23 +250,6 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             "contact": self._contact().astype(np.int8),
             "goal": np.array(self.scene.goal),
         }
-
-    def _observation_space(self) -> gymnasium.spaces.Dict:
-        count, dimension = len(self.map.bodies), self.map.dimension
-
-        def box(*shape: int) -> gymnasium.spaces.Box:
-            return gymnasium.spaces.Box(-_LARGEST, _LARGEST, shape, np.float64)
-
-        spaces: dict[str, gymnasium.spaces.Space[Any]] = {
-            "position": box(count, dimension),
-            "velocity": box(count, dimension),
-            "contact": gymnasium.spaces.Box(0, 1, (count, count), np.int8),
-            "goal": box(dimension),
-        }
-        if self.turns:
-            spaces["orientation"] = box(count, 1 if dimension == 2 else 4)
-            spaces["angular_velocity"] = box(count, 1 if dimension == 2 else 3)
-        return gymnasium.spaces.Dict(spaces)
 
     def _action_box(self) -> gymnasium.spaces.Box:
         box = self.environment.action_space

@@ -1,11 +1,12 @@
 """The billiards task: discs on a table with walls and pillars, which a driven cue strikes."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost, Conditions, Observation
 from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.gripper_task import DT, GripperTask, check_count, fixed_layout
 from contactgraph.envs.planar.body import GRAVITY, PlanarBody
@@ -263,7 +264,7 @@ class StrikingPolicy:
 
 
 class BilliardsTask(GripperTask):
-    """Discs slide on a table, strike one another, walls and pillars; a `contactgraph.envs.Task`.
+    """A cue strikes a disc to a goal, on a table with walls, pillars and other discs.
 
     Nodes are the cue (0), a disc that the control ``[2]`` N drives, the target (1), further objects
     and two pillars, which never move. Balls (0.5 kg, 0.04 m) and pucks (1.5 kg, 0.06 m) alternate;
@@ -281,6 +282,11 @@ class BilliardsTask(GripperTask):
     """
 
     name = "billiards"
+    expert = BilliardsExpert
+    fixed_start = partial(BilliardsExpert, noise=0.0)
+    explorer = StrikingPolicy
+    horizon, starts = 60, 64
+    conditions: Conditions = (("as trained", {}), ("6 objects", {"objects": 6}))
 
     def __init__(
         self,
@@ -290,18 +296,17 @@ class BilliardsTask(GripperTask):
         engine: str | None = None,
     ) -> None:
         check_count("objects", objects, 1, MAX_OBJECTS)
-        driven = not passive
+        self.passive, driven = passive, not passive
         steps = MAX_STEPS if driven else PASSIVE_STEPS
         count = driven + objects + PILLARS
         extent = float(TABLE.max())
-        super().__init__(count, steps, extent, passive=passive, fixed_seed=fixed_seed)
+        super().__init__(count, steps, extent, fixed_seed=fixed_seed)
         self._types = (
             *["cue"] * driven,
             *(_type_of(index) for index in range(objects)),
             *["pillar"] * PILLARS,
         )
         self._objects = objects
-        self._passive = passive
         self._engine = engine
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
@@ -309,10 +314,10 @@ class BilliardsTask(GripperTask):
         """Samples the scene of a seed; at rest, unless it is passive."""
         rng = np.random.default_rng(seed)
         layout = sample_layout(rng, self._objects, self._fixed)
-        position = np.vstack([layout.cue, layout.target, layout.others])[int(self._passive) :]
+        position = np.vstack([layout.cue, layout.target, layout.others])[int(self.passive) :]
         count = len(position)
         velocity = np.zeros((count, 2))
-        if self._passive:
+        if self.passive:
             speed, heading = rng.uniform([SLOWEST, -np.pi], [FASTEST, np.pi], (self._objects, 2)).T
             moving = speed * np.array([np.cos(heading), np.sin(heading)])
             velocity[: self._objects] = moving.T
@@ -335,7 +340,7 @@ class BilliardsTask(GripperTask):
         world = PlanarWorld(bodies, DT, walls=walls, engine=self._engine)
         scene = Scene(
             node_name=(
-                *["cue"] * (not self._passive),
+                *["cue"] * (not self.passive),
                 "target",
                 *(f"object-{index}" for index in range(1, self._objects)),
                 *(f"pillar-{index}" for index in range(1, 1 + PILLARS)),
@@ -347,16 +352,14 @@ class BilliardsTask(GripperTask):
             mass=mass,
             radius=radius,
             static=static,
-            control_kind=() if self._passive else ("force", "force"),
+            control_kind=() if self.passive else ("force", "force"),
             planes=np.hstack([np.vstack([np.eye(2), -np.eye(2)]), np.tile(-TABLE, 2)[:, None]]),
             metadata={
-                "task": self.name,
                 "objects": self._objects,
-                "passive": self._passive,
+                "passive": self.passive,
                 "restitution": RESTITUTION,
                 "friction": FRICTION,
                 "ground_friction": GROUND_FRICTION,
-                **world.metadata,
             },
         )
         return scene, world
@@ -364,7 +367,7 @@ class BilliardsTask(GripperTask):
     def cost_terms(self) -> ChainCost:
         """Cue to target and target to goal, with the weights of the pickup; the end counts most."""
         return ChainCost(
-            chain=(0,) if self._passive else (CUE, TARGET),
+            chain=(0,) if self.passive else (CUE, TARGET),
             pick_weights=np.array([3.0, 3.0, 0.2, 0.2]),
             goal_weights=np.array([50.0, 50.0, 1.0, 1.0]),
             control_weight=0.01,

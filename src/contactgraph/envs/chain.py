@@ -5,10 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.gripper_task import DT, MASS
+from contactgraph.envs.contract import ChainCost
+from contactgraph.envs.gripper_task import DT, MASS, GripperTask
+from contactgraph.envs.pickup import (
+    CONTROL_WEIGHT,
+    GOAL_WEIGHTS,
+    PICK_WEIGHTS,
+    PickupExpert,
+)
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
-from contactgraph.envs.shaped_tasks import ShapedTask, box_outline
+from contactgraph.envs.shaped_tasks import box_outline
 
 LINK = np.array([0.1, 0.015])
 """Half the sides of a link of the chain, m."""
@@ -23,8 +30,8 @@ GRASP_RADIUS = 0.03
 """Of the gripper, m."""
 
 
-class ChainTask(ShapedTask):
-    """A gripper drags a chain of two links over a table; a `contactgraph.envs.Task`.
+class ChainTask(GripperTask):
+    """A gripper drags two links, joined by a hinge, to a goal.
 
     Nodes are the gripper (0), a disc of 1 kg and radius 3 cm that does not rotate, and two bars of
     20 by 3 cm and 0.3 kg, the link and the target. The gripper holds an end of the link by a pin,
@@ -35,10 +42,11 @@ class ChainTask(ShapedTask):
     """
 
     name = "chain"
-    observes_holding = True
+    expert = PickupExpert
+    observes_holding = observes_turning = True
 
     def __init__(self, engine: str | None = None) -> None:
-        super().__init__(3, CHAIN_STEPS, 1.5, DT)
+        super().__init__(3, CHAIN_STEPS, 1.5)
         self._engine = engine
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
@@ -68,10 +76,10 @@ class ChainTask(ShapedTask):
             polygon_of=np.array([1, 2]),
             pins=np.array([[0, 1], [1, 2]]),
             pin_points=np.array([[[0.0, 0.0], -end], [end, -end]]),
-            metadata={
-                "task": self.name,
-                "damping": LINK_DAMPING,
-                **world.metadata,
-            },
+            metadata={"damping": LINK_DAMPING},
         )
         return scene, world
+
+    def cost_terms(self) -> ChainCost:
+        """The last link to the goal, with the weights of the pickup."""
+        return ChainCost((2,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)

@@ -1,6 +1,6 @@
 """The contracts of tasks and policies, and the cost that a task has."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -105,6 +105,11 @@ class Policy(Protocol):
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[U]`` N for the coming step; the task clips it to its bounds."""
 
+
+PolicyFactory = Callable[[], Policy]
+"""A class of policies, or a function that makes one."""
+Conditions = tuple[tuple[str, Mapping[str, Any]], ...]
+"""Scenes of a task to test models in, by name and options."""
 
 Feedback = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
 """The control ``[U]`` N within a step, from what part of it has passed, in [0, 1), and from

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost, Conditions, Observation
 from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
@@ -203,14 +203,14 @@ class DoorExpert:
 
 
 class DoorTask(GripperTask):
-    """The paper's third planar task; a `contactgraph.envs.Task`.
+    """A gripper opens a hinged door to an angle.
 
-    Nodes are the gripper (0), the target door (1) and ``distractors`` further doors. A door is a
-    bar, 4 kg, 0.05 x 1.0 m, that turns freely about a hinge at one end (``scene.anchor``); its
-    node is its middle. The gripper is pinned to every door that it touches, where it touches it;
-    doors pass through one another. The control ``[2]`` N is a force on the gripper. The reward is
-    the negative distance of the door's middle from where it is at the goal angle, m. An episode
-    always runs for 120 steps.
+    The paper's third planar task. Nodes are the gripper (0), the target door (1) and
+    ``distractors`` further doors. A door is a bar, 4 kg, 0.05 x 1.0 m, that turns freely about a
+    hinge at one end (``scene.anchor``); its node is its middle. The gripper is pinned to every door
+    that it touches, where it touches it; doors pass through one another. The control ``[2]`` N is a
+    force on the gripper. The reward is the negative distance of the door's middle from where it is
+    at the goal angle, m. An episode always runs for 120 steps.
 
     ``fixed_seed`` is the seed of a scene whose target door (hinge, angle) and goal every episode
     shares, so that only the start of the gripper and the other doors vary; None: each has its own.
@@ -219,6 +219,9 @@ class DoorTask(GripperTask):
     10.
     """
 
+    name = "door"
+    expert = DoorExpert
+    conditions: Conditions = (("as trained", {}), ("10 more doors", {"distractors": 10}))
     goal_radius = 0.05
     """m: 0.1 rad."""
 
@@ -256,9 +259,7 @@ class DoorTask(GripperTask):
             radius=np.array([GRIPPER_RADIUS, *[0.5 * THICKNESS] * doors]),
             candidate_edges=np.array([[GRIPPER, door] for door in range(DOOR, DOOR + doors)]),
             metadata={
-                "task": "door",
                 "distractors": self._distractors,
-                **world.metadata,
                 "angle": float(layout.angle[0]),
                 "goal_angle": layout.goal_angle,
             },

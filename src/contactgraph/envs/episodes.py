@@ -1,7 +1,6 @@
 """Runs a policy in a task and records the trajectory."""
 
-import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -21,7 +20,7 @@ from contactgraph.envs.contract import (
     ScoredTask,
     Task,
 )
-from contactgraph.parallel import Executor, map_in_order
+from contactgraph.parallel import Executor, map_if_faster
 
 
 def run_episode(task: Task, policy: Policy, seed: int) -> Trajectory:
@@ -151,12 +150,6 @@ class EpisodeStates:
         )
 
 
-_ALONE_S = 1.0
-"""Time, s, for which one process always records, to measure an episode's duration."""
-_START_S = 1.0
-"""Measured time to start the workers."""
-
-
 def collect(
     task_factories: Sequence[Callable[[], Task]],
     policies: Sequence[Policy],
@@ -188,7 +181,7 @@ def collect(
     seeds = episode_seeds(episodes, seed)
     recorder = partial(_recorder, tuple(task_factories), tuple(policies), seeds)
     trajectories = list(recorded[:episodes])
-    with closing(_made(recorder, range(len(trajectories), episodes), executor)) as made:
+    with closing(map_if_faster(executor, recorder, range(len(trajectories), episodes))) as made:
         for trajectory in made:
             trajectories.append(trajectory)
             if on_episode is not None:
@@ -229,18 +222,3 @@ def _recorder(
         return run_episode(task, policy, seeds[index])
 
     return record
-
-
-def _made(
-    recorder: Callable[[], Callable[[int], Trajectory]], indices: range, executor: Executor | None
-) -> Generator[Trajectory, None, None]:
-    """The episodes of these indices, in order."""
-    record, began = recorder(), time.perf_counter()
-    for done, index in enumerate(indices):
-        spent, left = time.perf_counter() - began, len(indices) - done
-        if done and executor is not None and spent > _ALONE_S:
-            alone = spent / done * left
-            if alone * (1.0 - 1.0 / executor.workers) > _START_S:
-                yield from map_in_order(executor, recorder, indices[done:])
-                return
-        yield record(index)

@@ -23,44 +23,7 @@ MAX_DISPLACEMENT = 0.05
 _HAND_BODIES = ("gripper_link", "r_gripper_finger_link", "l_gripper_finger_link")
 
 
-_ENVIRONMENTS = {
-    "fetch-push": "FetchPush-v4",
-    "fetch-slide": "FetchSlide-v4",
-    "fetch-pick-and-place": "FetchPickAndPlace-v4",
-}
-"""By the name of the task, which is that of its map, too."""
-
-
-def fetch_task(name: str) -> AdaptedTask:
-    """An environment of the Fetch arm; raises `InvalidInputError` without gymnasium-robotics.
-
-    Nodes are the gripper and the object, in space. The control ``[3]`` m is a displacement of the
-    gripper; for pick-and-place a fourth component opens (1) or closes (-1) the fingers. Velocities
-    are backward differences: the environment's own are those of the joints at the end of a step,
-    times its duration, the object's relative to the hand. Success is the environment's own: the
-    object within 5 cm of the goal at the end.
-    """
-    return AdaptedTask(
-        partial(_make_environment, name),
-        name,
-        name=name,
-        cost=ChainCost(
-            (0, 1),
-            np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002]),
-            np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
-            0.01,
-            command_weight=1e-6,  # to hold costs no more than to let go
-            switching_cost=0.01,
-        ),
-        max_steps=50,
-        success_key="is_success",
-        contact=watched_contact,
-        packages=("gymnasium-robotics", "mujoco"),
-        scene_metadata={"environment": _ENVIRONMENTS[name]},
-    )
-
-
-def _make_environment(task: str) -> gymnasium.Env[Any, Any]:
+def _make_environment(task: str, environment: str) -> gymnasium.Env[Any, Any]:
     try:
         with redirect_stderr(StringIO()):  # its import prints a note on other environments
             import gymnasium_robotics
@@ -74,7 +37,7 @@ def _make_environment(task: str) -> gymnasium.Env[Any, Any]:
             f"{task} needs a MuJoCo below 3.7, found {found}: pip install 'contactgraph[fetch]'"
         )
     gymnasium.register_envs(gymnasium_robotics)
-    return _WatchedContact(gymnasium.make(_ENVIRONMENTS[task], disable_env_checker=True))
+    return _WatchedContact(gymnasium.make(environment, disable_env_checker=True))
 
 
 class _WatchedContact(WatchedContact):
@@ -131,15 +94,70 @@ def _style(task: str, approach: float) -> PushStyle:
     )
 
 
-PUSH_STYLE = _style("fetch-push", approach=5.0)
-SLIDE_STYLE = _style("fetch-slide", approach=2.0)
-push_fixed_start = partial(PushPolicy, PUSH_STYLE)
-push_expert = partial(PushPolicy, PUSH_STYLE, noise=0.004, variety=0.4)
-push_explorer = partial(RandomPushes, PUSH_STYLE, noise=0.01, seconds=1.0)
-slide_fixed_start = partial(PushPolicy, SLIDE_STYLE)
-slide_expert = partial(PushPolicy, SLIDE_STYLE, noise=0.004, variety=0.4)
-slide_explorer = partial(RandomPushes, SLIDE_STYLE, noise=0.01, seconds=1.0)
-pick_fixed_start = partial(PickPolicy, _SPEED, LEAD)
-pick_expert = partial(PickPolicy, _SPEED, LEAD, noise=0.003, variety=0.3)
-pick_explorer = partial(PickPolicy, _SPEED, LEAD, noise=0.02, variety=0.5)
-"""Noise as large as this misses many grasps, and pushes and drops the object."""
+class FetchTask(AdaptedTask):
+    """An environment of the Fetch arm; the base of its tasks.
+
+    Nodes are the gripper and the object, in space. The control ``[3]`` m is a displacement of the
+    gripper; for pick-and-place a fourth component opens (1) or closes (-1) the fingers. Velocities
+    are backward differences: the environment's own are those of the joints at the end of a step,
+    times its duration, the object's relative to the hand. Success is the environment's own: the
+    object within 5 cm of the goal at the end. Raises `InvalidInputError` without
+    gymnasium-robotics.
+    """
+
+    name: str
+    """Of the task, and of its map."""
+    environment_name: str
+    horizon, starts = 30, 64
+    max_force: float | None = MAX_DISPLACEMENT
+
+    def __init__(self) -> None:
+        super().__init__(
+            partial(_make_environment, self.name, self.environment_name),
+            self.name,
+            name=self.name,
+            cost=ChainCost(
+                (0, 1),
+                np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002]),
+                np.array([50.0, 50.0, 50.0, 1.0, 1.0, 1.0]),
+                0.01,
+                command_weight=1e-6,  # to hold costs no more than to let go
+                switching_cost=0.01,
+            ),
+            max_steps=50,
+            success_key="is_success",
+            contact=watched_contact,
+            packages=("gymnasium-robotics", "mujoco"),
+            scene_metadata={"environment": self.environment_name},
+        )
+
+
+class FetchPushTask(FetchTask):
+    """An arm pushes a block to a goal (gymnasium-robotics, MuJoCo)."""
+
+    name, environment_name = "fetch-push", "FetchPush-v4"
+    style = _style("fetch-push", approach=5.0)
+    expert = partial(PushPolicy, style, noise=0.004, variety=0.4)
+    fixed_start = demonstrator = partial(PushPolicy, style)
+    explorer = partial(RandomPushes, style, noise=0.01, seconds=1.0)
+
+
+class FetchSlideTask(FetchTask):
+    """An arm strikes a puck that slides to a goal beyond its reach (MuJoCo)."""
+
+    name, environment_name = "fetch-slide", "FetchSlide-v4"
+    style = _style("fetch-slide", approach=2.0)
+    expert = partial(PushPolicy, style, noise=0.004, variety=0.4)
+    fixed_start = demonstrator = partial(PushPolicy, style)
+    explorer = partial(RandomPushes, style, noise=0.01, seconds=1.0)
+
+
+class FetchPickAndPlaceTask(FetchTask):
+    """An arm grasps a block, lifts it and takes it to a goal in the air (MuJoCo)."""
+
+    name, environment_name = "fetch-pick-and-place", "FetchPickAndPlace-v4"
+    max_force = None
+    expert = partial(PickPolicy, _SPEED, LEAD, noise=0.003, variety=0.3)
+    fixed_start = demonstrator = partial(PickPolicy, _SPEED, LEAD)
+    explorer = partial(PickPolicy, _SPEED, LEAD, noise=0.02, variety=0.5)
+    """Noise as large as this misses many grasps, and pushes and drops the object."""

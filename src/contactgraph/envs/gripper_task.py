@@ -1,7 +1,7 @@
 """The base of tasks in which a force moves a gripper: episodes, observations, rewards."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar, cast
 
@@ -18,10 +18,16 @@ MASS = 1.0
 """Of the gripper, kg."""
 MAX_FORCE = 10.0
 """Bound of the control on each axis, N."""
+_MOST_TURN = 1e3
+"""rad, rad/s: bound of an observed angle and rate."""
 
 
 class World(Protocol):
     """``N`` bodies that move under forces and stick together once they touch."""
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """Of every scene with such a world: the simulator, and how it is used."""
 
     @property
     def position(self) -> np.ndarray:
@@ -42,21 +48,28 @@ class World(Protocol):
 class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     """A gripper (node 0) that forces move among ``count - 1`` other bodies.
 
-    The control ``[D]`` N is a force on the gripper, at most ``max_force`` N on each axis. The
-    reward is the negative distance, m, from the last node of the cost's chain, or the nearest
-    candidate for it, to the goal. An episode always runs for ``max_steps`` steps. ``extent`` m
-    bounds the start positions and the goal on each axis; ``mass`` kg is the gripper's.
-    ``passive``: nothing is driven, and the control is empty. ``fixed_seed`` is that of the
-    `fixed_layout` of a subclass.
+    The control ``[D]`` N is a force on the gripper. The reward is the negative distance, m, from
+    the last node of the cost's chain, or the nearest candidate for it, to the goal. An episode
+    always runs for ``max_steps`` steps. ``extent`` m bounds the start positions and the goal on
+    each axis; ``mass`` kg is the gripper's. ``fixed_seed`` is that of the `fixed_layout` of a
+    subclass.
 
     A subclass defines the start of an episode, its cost, and what more a success demands.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
+    name: str
+    """Of the task, for the metadata of scenes; the class's name where it is not given."""
+    max_force: float | None = MAX_FORCE
+    """Bound of the control on each axis, N. None: a subclass has another bound."""
+    passive = False
+    """Whether nothing is driven, and the control is empty."""
     goal_radius = 0.1
     """The last node of the cost's chain must end within this distance of the goal, m."""
     observes_holding = False
     """Whether observations have the key ``holding``, beside contacts: touching or holding."""
+    observes_turning = False
+    """Whether observations have the keys ``orientation`` and ``angular_velocity``."""
 
     def __init__(
         self,
@@ -66,19 +79,19 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         *,
         dimension: int = 2,
         dt: float = DT,
-        max_force: float = MAX_FORCE,
         mass: float = MASS,
-        passive: bool = False,
         fixed_seed: int | None = None,
     ) -> None:
         self.max_steps = max_steps
-        size = 0 if passive else dimension
+        size = 0 if self.passive else dimension
+        max_force = MAX_FORCE if self.max_force is None else self.max_force
         bounds = gymnasium.spaces.Box(-max_force, max_force, (size,), np.float64)
         self.action_space = bounds
         # The largest distance and speed that the largest force gives a body in one episode.
         speed = max_force / mass * max_steps * dt
         distance = extent + speed * max_steps * dt
-        space = _observation_space(count, dimension, extent, distance, speed)
+        turning = (_MOST_TURN, _MOST_TURN) if self.observes_turning else None
+        space = observation_space(count, dimension, extent, distance, speed, turning)
         if self.observes_holding:
             space.spaces["holding"] = space.spaces["contact"]
         self.observation_space = space
@@ -92,7 +105,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     def begin(self, seed: int) -> tuple[Scene, World]:
         """Samples the scene of a seed; where something is driven, with everything at rest.
 
-        Its metadata gain the seeds that reproduce it.
+        Its metadata gain the task's name, the world's, and the seeds that reproduce it.
         """
 
     @abstractmethod
@@ -121,7 +134,8 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         # Every episode has a seed, also if none is given.
         scene_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         scene, world = self.begin(scene_seed)
-        metadata = {**scene.metadata, "seed": scene_seed, **self._fixed_metadata}
+        named = {"task": getattr(self, "name", type(self).__name__), **world.metadata}
+        metadata = {**named, **scene.metadata, "seed": scene_seed, **self._fixed_metadata}
         self._steps, self._episode = 0, (replace(scene, metadata=metadata), world)
         self._pushed = np.zeros(self._shape)
         return self.observed(), {}
@@ -136,8 +150,12 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
             "contact": world.contact.astype(np.int8),
             "goal": np.array(scene.goal),
         }
+        of_world = cast(Any, world)
         if self.observes_holding:
-            observation["holding"] = cast(Any, world).holding.astype(np.int8)
+            observation["holding"] = of_world.holding.astype(np.int8)
+        if self.observes_turning:
+            observation["orientation"] = of_world.angle[:, None]
+            observation["angular_velocity"] = of_world.angular_velocity[:, None]
         return observation
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -210,18 +228,29 @@ def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     return array.copy()
 
 
-def _observation_space(
-    count: int, dimension: int, extent: float, distance: float, speed: float
+def observation_space(
+    count: int,
+    dimension: int,
+    extent: float,
+    distance: float,
+    speed: float,
+    turning: tuple[float, float] | None = None,
 ) -> gymnasium.spaces.Dict:
-    shape = count, dimension
-    return gymnasium.spaces.Dict(
-        {
-            "position": gymnasium.spaces.Box(-distance, distance, shape, np.float64),
-            "velocity": gymnasium.spaces.Box(-speed, speed, shape, np.float64),
-            "contact": gymnasium.spaces.MultiBinary((count, count)),
-            "goal": gymnasium.spaces.Box(-extent, extent, (dimension,), np.float64),
-        }
-    )
+    """That of an `Observation`, with bounds of goal, position, velocity, and of angle and rate."""
+
+    def box(most: float, *shape: int) -> gymnasium.spaces.Box:
+        return gymnasium.spaces.Box(-most, most, shape, np.float64)
+
+    spaces: dict[str, gymnasium.spaces.Space[Any]] = {
+        "position": box(distance, count, dimension),
+        "velocity": box(speed, count, dimension),
+        "contact": gymnasium.spaces.MultiBinary((count, count)),
+        "goal": box(extent, dimension),
+    }
+    if turning is not None:
+        spaces["orientation"] = box(turning[0], count, 1 if dimension == 2 else 4)
+        spaces["angular_velocity"] = box(turning[1], count, 1 if dimension == 2 else 3)
+    return gymnasium.spaces.Dict(spaces)
 
 
 Layout = TypeVar("Layout")

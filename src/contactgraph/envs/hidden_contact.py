@@ -7,7 +7,13 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.carry_expert import (
+    CarryExpert,
+    LookAlikesExpert,
+    StickyExpert,
+    SuctionExpert,
+)
+from contactgraph.envs.contract import ChainCost, Conditions, Observation, PolicyFactory
 from contactgraph.envs.grip import (
     HOLD_TIME,
     SWITCH_ON,
@@ -17,6 +23,7 @@ from contactgraph.envs.grip import (
     SwitchedHold,
 )
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE, check_count
+from contactgraph.envs.handling import HandlingPolicy
 from contactgraph.envs.pickup import MAX_OBJECTS, TARGET, CarryTask, Metadata
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import HoldRule, PlanarWorld
@@ -40,12 +47,24 @@ REST_SPEED = 0.02
 """The target must be slower than this, m/s."""
 
 
-class SuctionTask(CarryTask):
-    """A gripper that holds what it touches while its switch is on; a `contactgraph.envs.Task`.
+class HiddenHoldTask(CarryTask):
+    """A task in which geometry does not tell what is held; what is held is observed."""
 
-    The control ``[3]`` is a force on the gripper, N, and the switch, 0 to 1, on above 0.5. The
-    target is to be put down: in the end it lies within 2 cm of the goal and is slower than 2 cm/s,
-    the gripper does not hold it, and the switch is off.
+    observes_holding = True
+    expert: PolicyFactory = CarryExpert
+    explorer: PolicyFactory = HandlingPolicy
+    exploration = 0.5
+    starts = 32
+    conditions: Conditions = (("as trained", {}), ("3 distractors", {"distractors": 3}))
+
+
+class SuctionTask(HiddenHoldTask):
+    """A suction gripper takes an object to a goal and puts it down.
+
+    The gripper holds what it touches while its switch is on. The control ``[3]`` is a force on the
+    gripper, N, and the switch, 0 to 1, on above 0.5. The target is to be put down: in the end it
+    lies within 2 cm of the goal and is slower than 2 cm/s, the gripper does not hold it, and the
+    switch is off.
 
     With ``hidden_switch`` the control ``[2]`` is the force alone: a random process that nothing
     records operates the switch, and the target must end within 0.1 m of the goal.
@@ -54,6 +73,10 @@ class SuctionTask(CarryTask):
     """
 
     name = "suction"
+    expert = SuctionExpert
+    max_force = None
+    starts = 0
+    """A plan of switches takes none."""
     steps = 240
     goal_radius = 0.02
 
@@ -67,7 +90,7 @@ class SuctionTask(CarryTask):
         super().__init__(distractors, fixed_seed, engine=engine)
         self._hidden_switch = hidden_switch
         if hidden_switch:
-            self.goal_radius = CarryTask.goal_radius
+            self.goal_radius, self.starts = CarryTask.goal_radius, HiddenHoldTask.starts
         else:
             high = np.array([MAX_FORCE, MAX_FORCE, 1.0])
             self.action_space = gymnasium.spaces.Box(np.append(-high[:2], 0.0), high, dtype=float)
@@ -113,12 +136,13 @@ class SuctionTask(CarryTask):
         return bool(released and np.linalg.norm(world.velocity[TARGET]) <= REST_SPEED)
 
 
-class ReleaseTask(CarryTask):
-    """A gripper whose holds end after a hidden 0.5 to 2 s; a `contactgraph.envs.Task`.
+class ReleaseTask(HiddenHoldTask):
+    """A gripper that loses its hold after a hidden time takes an object to a goal.
 
-    It holds at touch; a joint force above 4 N ends a hold, too. The pair can be held again only
-    after it has parted. The control ``[2]`` N is a force on the gripper. The target must end within
-    0.1 m of the goal. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    It holds at touch, for 0.5 to 2 s; a joint force above 4 N ends a hold, too. The pair can be
+    held again only after it has parted. The control ``[2]`` N is a force on the gripper. The target
+    must end within 0.1 m of the goal. Raises `InvalidInputError` where ``distractors`` is not in 0
+    to 20.
     """
 
     name = "release"
@@ -128,8 +152,8 @@ class ReleaseTask(CarryTask):
         return BreakingHold(seed, HOLD_TIME), {}
 
 
-class DelayTask(CarryTask):
-    """A gripper that holds after 0.4 s of touching; a `contactgraph.envs.Task`.
+class DelayTask(HiddenHoldTask):
+    """A gripper that holds after 0.4 s of touching takes an object to a goal.
 
     The touch must not be interrupted; a hold lasts to the end. The control ``[2]`` N is a force on
     the gripper. The target must end within 0.1 m of the goal. Raises `InvalidInputError` where
@@ -143,8 +167,8 @@ class DelayTask(CarryTask):
         return DelayedHold(), {}
 
 
-class StickyTask(CarryTask):
-    """Look-alike bodies, of which some hold and some do not; a `contactgraph.envs.Task`.
+class StickyTask(HiddenHoldTask):
+    """A gripper finds an object that holds among look-alikes, and takes it to a goal.
 
     Of ``objects`` targets and of the distractors, each holds with probability 1/4, drawn for each
     episode, but at least one target does and one does not. A body that holds does so from touch to
@@ -155,6 +179,7 @@ class StickyTask(CarryTask):
     """
 
     name = "sticky"
+    expert: PolicyFactory = StickyExpert
     steps = 300
 
     def __init__(
@@ -165,7 +190,8 @@ class StickyTask(CarryTask):
         engine: str | None = None,
     ) -> None:
         check_count("objects", objects, 2, MAX_OBJECTS)
-        super().__init__(distractors, fixed_seed, objects, engine)
+        self.targets = objects
+        super().__init__(distractors, fixed_seed, engine=engine)
         self._carriable = frozenset({TARGET})
         """Bodies of which any may end at the goal."""
 
@@ -191,7 +217,7 @@ class StickyTask(CarryTask):
 
 
 class LookAlikesTask(StickyTask):
-    """Two look-alike bodies, one of them welded to the table; a `contactgraph.envs.Task`.
+    """Of two look-alikes, one is welded to the table; a gripper holds the other at a goal.
 
     Which one is drawn for each episode, and nothing observed tells it but that it does not move.
     The gripper holds what it touches until more than 7.5 N pull the pair apart, which its control
@@ -202,6 +228,7 @@ class LookAlikesTask(StickyTask):
     """
 
     name = "look-alikes"
+    expert = LookAlikesExpert
     steps = 200
     any_order = True
 

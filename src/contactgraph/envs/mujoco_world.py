@@ -63,6 +63,11 @@ class VerticalWorld:
         self._look()
 
     @property
+    def metadata(self) -> dict[str, str | int]:
+        """Simulator and substeps, for a scene's metadata."""
+        return {"simulator": SIMULATOR, "substeps": self.substeps}
+
+    @property
     def position(self) -> np.ndarray:
         """``[N, 2]`` m, of the boxes' middles."""
         return self._data.qpos.reshape(self._count, 3)[:, :2].copy()

@@ -5,7 +5,7 @@ from abc import abstractmethod
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, joined
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost, Conditions, Observation
 from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
@@ -107,9 +107,9 @@ class PickupExpert:
 class CarryTask(GripperTask):
     """Discs of 1 kg without friction, of which a rule ties some together; a task's base.
 
-    Nodes are the gripper (0), ``targets`` targets (1, 2, ...) and ``distractors`` further bodies of
+    Nodes are the gripper (0), `targets` targets (1, 2, ...) and ``distractors`` further bodies of
     their node type. The control ``[2]`` N is a force on the gripper. An episode always runs for
-    ``steps`` steps of 0.05 s. ``fixed_seed`` is the seed of a scene whose targets
+    `steps` steps of 0.05 s. ``fixed_seed`` is the seed of a scene whose targets
     and goal every episode shares, so that only the start of gripper and distractors varies; None:
     each episode has its own. ``radius`` m is every body's; ``in_the_way``: a straight way touches
     two distractors or more. ``engine``: see `PlanarWorld`.
@@ -118,11 +118,10 @@ class CarryTask(GripperTask):
     numbers out of range.
     """
 
-    name: str
-    """Of the task, for the scene's metadata."""
-    observes_holding = True
     steps = 200
     """Of an episode."""
+    targets = 1
+    """Number of targets."""
     any_order = False
     """Whether any target may be carried first: see `sample_layout`."""
 
@@ -130,10 +129,9 @@ class CarryTask(GripperTask):
         self,
         distractors: int = 0,
         fixed_seed: int | None = None,
-        targets: int = 1,
-        engine: str | None = None,
         radius: float = RADIUS,
         in_the_way: bool = False,
+        engine: str | None = None,
     ) -> None:
         check_count("distractors", distractors, 0, MAX_DISTRACTORS)
         if in_the_way and distractors < IN_THE_WAY:
@@ -142,9 +140,10 @@ class CarryTask(GripperTask):
             )
         if not 0.0 < radius <= MAX_RADIUS:
             raise InvalidInputError(f"radius must be above 0, to {MAX_RADIUS} m, found {radius}")
+        targets = self.targets
         count = 1 + targets + distractors
         super().__init__(count, self.steps, extent(targets), fixed_seed=fixed_seed)
-        self.targets, self.distractors = targets, distractors
+        self.distractors = distractors
         self._engine, self._radius, self._in_the_way = engine, radius, in_the_way
         self._fixed = fixed_layout(
             fixed_seed,
@@ -169,12 +168,7 @@ class CarryTask(GripperTask):
         rule, drawn = self.hold_rule(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
         bodies = [self.body(place, node, seed) for node, place in enumerate(layout.position)]
         world = PlanarWorld(bodies, DT, hold=rule, engine=self._engine)
-        metadata: Metadata = {
-            "task": self.name,
-            "distractors": self.distractors,
-            **world.metadata,
-            **drawn,
-        }
+        in_the_way: Metadata = {"in_the_way": True} if self._in_the_way else {}
         targets = [f"target-{index}" for index in range(1, self.targets + 1)]
         distractors = [f"distractor-{index}" for index in range(self.distractors)]
         scene = Scene(
@@ -185,7 +179,7 @@ class CarryTask(GripperTask):
             goal=layout.goal,
             mass=np.array([body.mass for body in bodies]),
             radius=np.full(len(bodies), self._radius),
-            metadata=metadata,
+            metadata={"distractors": self.distractors, **in_the_way, **drawn},
         )
         return scene, world
 
@@ -195,48 +189,42 @@ class CarryTask(GripperTask):
 
 
 class PickupTask(CarryTask):
-    """The paper's first planar task; a `contactgraph.envs.Task`.
+    """A gripper picks up an object and takes it to a goal.
 
-    Nodes are the gripper (0), the target (1) and ``distractors`` further objects: circles that
-    stick to all that they touch. The reward is the negative distance from target to goal, m. An
-    episode always runs for 200 steps. Other arguments: see `CarryTask`. Raises `InvalidInputError`
-    where ``distractors`` is not in 0 to 20, or 2 to 20 in the way, or the radius not above 0 and at
-    most 0.06 m.
+    The paper's first planar task. Nodes are the gripper (0), the target (1) and ``distractors``
+    further objects: circles that stick to all that they touch. The reward is the negative distance
+    from target to goal, m. An episode always runs for 200 steps. Other arguments: see `CarryTask`.
+    Raises `InvalidInputError` where ``distractors`` is not in 0 to 20, or 2 to 20 in the way, or
+    the radius not above 0 and at most 0.06 m.
     """
 
     name = "pickup"
-    observes_holding = False
-
-    def __init__(
-        self,
-        distractors: int = 0,
-        fixed_seed: int | None = None,
-        radius: float = RADIUS,
-        in_the_way: bool = False,
-        engine: str | None = None,
-    ) -> None:
-        super().__init__(
-            distractors, fixed_seed, engine=engine, radius=radius, in_the_way=in_the_way
-        )
+    expert = PickupExpert
+    conditions: Conditions = (
+        ("as trained", {}),
+        ("3 distractors", {"distractors": 3}),
+        ("10 distractors", {"distractors": 10}),
+    )
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """All that touch stick together."""
-        return HoldAtTouch(), {"in_the_way": True} if self._in_the_way else {}
+        return HoldAtTouch(), {}
 
 
 class MultiPickupTask(CarryTask):
-    """The paper's second planar task; a `contactgraph.envs.Task`.
+    """A gripper picks up objects in turn and takes them to a goal.
 
-    Nodes are the gripper (0), ``objects`` targets (1, 2, ...) in the order in which they are to
-    be picked up, and ``distractors`` further objects: circles that stick to all that they touch,
-    so that the grasped bodies form a growing group. The reward is the negative distance from the
-    last target to the goal, m. An episode always runs for 200 steps. Other arguments: see
-    `CarryTask`. Raises `InvalidInputError` where ``objects`` is not in 1 to 5 or ``distractors`` in
-    0 to 20.
+    The paper's second planar task. Nodes are the gripper (0), ``objects`` targets (1, 2, ...) in
+    the order in which they are to be picked up, and ``distractors`` further objects: circles that
+    stick to all that they touch, so that the grasped bodies form a growing group. The reward is the
+    negative distance from the last target to the goal, m. An episode always runs for 200 steps.
+    Other arguments: see `CarryTask`. Raises `InvalidInputError` where ``objects`` is not in 1 to 5
+    or ``distractors`` in 0 to 20.
     """
 
     name = "multi-pickup"
-    observes_holding = False
+    expert = PickupExpert
+    conditions: Conditions = (("as trained, 2 picks", {}), ("5 picks", {"objects": 5}))
 
     def __init__(
         self,
@@ -246,7 +234,8 @@ class MultiPickupTask(CarryTask):
         engine: str | None = None,
     ) -> None:
         check_count("objects", objects, 1, MAX_OBJECTS)
-        super().__init__(distractors, fixed_seed, objects, engine=engine)
+        self.targets = objects
+        super().__init__(distractors, fixed_seed, engine=engine)
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
         """All that touch stick together."""

@@ -1,5 +1,6 @@
-"""The task ``pusht``: the environment PushT of gym-pusht, by its map."""
+"""The tasks ``pusht`` and ``pusht-pose``: the environment PushT of gym-pusht, by its map."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,62 +14,18 @@ from contactgraph.envs.pickup import GOAL_WEIGHTS
 from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 TOLERANCE = 0.02
-"""m, at any angle: see `pusht_pose_task` for the environment's own success."""
+"""m, at any angle: see `PushTPoseTask` for the environment's own success."""
 MAX_STEPS = 150
 """Half of the environment's own limit: a push to any goal takes a quarter."""
 CONTROL_WEIGHT = 1e-4
 """1/m^2. The control is a place on the table, and none is better than another."""
 ANGLE_WEIGHT = GOAL_WEIGHTS[0] * 0.055**2
 """1/rad^2: of a turn as of the way of points at the T's radius of gyration."""
-_PACKAGES = ("gym-pusht", "pymunk")
 _MAP = "pusht-state"
 """A pixel is a millimetre: PushT names no unit of length; so its table is half a metre wide."""
 GOAL_ANGLE = np.pi / 4.0
-
-
-def pusht_pose_task() -> AdaptedTask:
-    """PushT with its own success: the T covers 95 % of its outline at the goal, at the angle too.
-
-    An episode has the environment's own 300 steps, and ends with success. Its score is the covered
-    share.
-    """
-    return AdaptedTask(
-        _make_environment,
-        _MAP,
-        name="pusht-pose",
-        cost=ChainCost(
-            (0, 1),
-            NEAR_WEIGHTS,
-            GOAL_WEIGHTS,
-            CONTROL_WEIGHT,
-            goal_angle=GOAL_ANGLE,
-            angle_weight=ANGLE_WEIGHT,
-        ),
-        max_steps=2 * MAX_STEPS,
-        success_key="is_success",
-        score_key="coverage",
-        contact=watched_contact,
-        packages=_PACKAGES,
-    )
-
-
-def pusht_task() -> AdaptedTask:
-    """PushT, with pixels as millimetres; raises `InvalidInputError` without gym-pusht.
-
-    Nodes are the agent, a disc of radius 1.5 cm, and the block, a T whose node stands at its centre
-    of mass. The control ``[2]`` m is the position to which a servo in the simulator takes the
-    agent. Success is a final distance of at most 2 cm to the goal, at any angle.
-    """
-    return AdaptedTask(
-        _make_environment,
-        _MAP,
-        name="pusht",
-        cost=ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
-        max_steps=MAX_STEPS,
-        tolerance=TOLERANCE,
-        contact=watched_contact,
-        packages=_PACKAGES,
-    )
+STYLE = PushStyle(clearance=0.105, speed=0.2, lead=0.2, near_enough=0.015)
+"""Of all scripted pushes. The simulator's servo follows a moving target 0.2 s behind it."""
 
 
 def _make_environment() -> gymnasium.Env[Any, Any]:
@@ -108,8 +65,49 @@ class _WatchedContact(WatchedContact):
         return super().step(action)
 
 
-STYLE = PushStyle(clearance=0.105, speed=0.2, lead=0.2, near_enough=0.015)
-"""Of all scripted pushes. The simulator's servo follows a moving target 0.2 s behind it."""
-pusht_fixed_start = partial(PushPolicy, STYLE)
-pusht_expert = partial(PushPolicy, STYLE, noise=0.01, variety=0.5)
-pusht_explorer = partial(RandomPushes, STYLE, noise=0.02)
+class PushTTask(AdaptedTask):
+    """An agent pushes a T to a goal (gym-pusht; success by position, at any angle).
+
+    PushT, with pixels as millimetres. Nodes are the agent, a disc of radius 1.5 cm, and the block,
+    a T whose node stands at its centre of mass. The control ``[2]`` m is the position to which a
+    servo in the simulator takes the agent. Success is a final distance of at most 2 cm to the goal,
+    at any angle. Raises `InvalidInputError` without gym-pusht.
+    """
+
+    name = "pusht"
+    expert = partial(PushPolicy, STYLE, noise=0.01, variety=0.5)
+    fixed_start = demonstrator = partial(PushPolicy, STYLE)
+    explorer = partial(RandomPushes, STYLE, noise=0.02)
+    horizon, starts = 30, 64
+
+    def __init__(self) -> None:
+        super().__init__(
+            _make_environment,
+            _MAP,
+            name=self.name,
+            contact=watched_contact,
+            packages=("gym-pusht", "pymunk"),
+            **self.success_terms(),
+        )
+
+    def success_terms(self) -> dict[str, Any]:
+        """The arguments of `AdaptedTask` that say what is to be reached."""
+        cost = ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+        return {"cost": cost, "max_steps": MAX_STEPS, "tolerance": TOLERANCE}
+
+
+class PushTPoseTask(PushTTask):
+    """As pusht, with its own success: the T covers 95 % of its outline at the goal.
+
+    The angle counts, too. An episode has the environment's own 300 steps, and ends with success.
+    Its score is the covered share.
+    """
+
+    name = "pusht-pose"
+
+    def success_terms(self) -> dict[str, Any]:
+        """Those of `PushTTask`, with a goal for the angle, and the environment's own success."""
+        terms = super().success_terms()
+        cost = replace(terms["cost"], goal_angle=GOAL_ANGLE, angle_weight=ANGLE_WEIGHT)
+        keys = {"success_key": "is_success", "score_key": "coverage"}
+        return {"cost": cost, "max_steps": 2 * MAX_STEPS, **keys}

@@ -1,5 +1,8 @@
 """A task of relations without contact: springs that nothing shows."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -24,6 +27,9 @@ SPRING_DT, SPRING_STEPS = 0.1, 49
 class SpringWorld:
     """Bodies of 1 kg on springs of rest length 0 between joined pairs ``[N, N]``, moved exactly."""
 
+    metadata: Mapping[str, Any] = {}
+    """Of a scene: no simulator moves the bodies."""
+
     def __init__(
         self, position: np.ndarray, velocity: np.ndarray, joined: np.ndarray, dt: float
     ) -> None:
@@ -43,18 +49,20 @@ class SpringWorld:
 
 
 class SpringsTask(GripperTask):
-    """Bodies on springs that nothing shows; a `contactgraph.envs.Task`.
+    """Bodies move on springs that nothing shows; nothing is driven.
 
     Every pair is joined with probability 1/2 for a whole episode, by a spring of rest length 0:
-    the force on body i is ``-k (x_i - x_j)``. Contacts are the joined pairs. Nothing is driven, and
-    the control is empty. Raises `InvalidInputError` where the number of bodies is not in 2 to 20.
+    the force on body i is ``-k (x_i - x_j)``. Contacts are the joined pairs. The control is empty.
+    Raises `InvalidInputError` where the number of bodies is not in 2 to 20.
     """
 
     name = "springs"
+    passive = True
+    max_force = None
 
     def __init__(self, objects: int = 5) -> None:
         check_count("objects", objects, 2, MAX_BODIES)
-        super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT, passive=True)
+        super().__init__(objects, SPRING_STEPS, 5.0, dt=SPRING_DT)
         self._bodies = objects
 
     def begin(self, seed: int) -> tuple[Scene, SpringWorld]:
@@ -72,11 +80,7 @@ class SpringsTask(GripperTask):
             goal=np.zeros(2),
             mass=np.ones(count),
             control_kind=(),
-            metadata={
-                "task": self.name,
-                "stiffness": SPRING_STIFFNESS,
-                "spring_share": SPRING_SHARE,
-            },
+            metadata={"stiffness": SPRING_STIFFNESS, "spring_share": SPRING_SHARE},
         )
         return scene, SpringWorld(position, velocity, joined | joined.T, SPRING_DT)
 

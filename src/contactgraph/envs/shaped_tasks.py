@@ -1,14 +1,13 @@
-"""The base of tasks whose bodies turn, and boxes under gravity: a toss, dominoes, a stack."""
+"""Tasks of boxes under gravity: a toss, dominoes, a stack."""
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import GripperTask
 from contactgraph.envs.pickup import CONTROL_WEIGHT, GOAL_WEIGHTS, PICK_WEIGHTS
 from contactgraph.envs.planar.body import PlanarBody
@@ -28,41 +27,13 @@ STANDING_STILL = 0.001
 AT_REST = 0.01
 """Speed, m/s, and angular velocity, rad/s, of a body at rest, at most."""
 
-_MOST_ANGLE, _MOST_RATE = 1e3, 1e3
-"""rad, rad/s: bounds of what is observed."""
-
-
-class ShapedTask(GripperTask):
-    """A task in the plane that observes orientation and angular velocity; arguments as there."""
-
-    def __init__(
-        self, count: int, max_steps: int, extent: float, dt: float, *, passive: bool = False
-    ) -> None:
-        super().__init__(count, max_steps, extent, dt=dt, passive=passive)
-        spaces = cast(gymnasium.spaces.Dict, self.observation_space).spaces
-        for name, most in (("orientation", _MOST_ANGLE), ("angular_velocity", _MOST_RATE)):
-            spaces[name] = gymnasium.spaces.Box(-most, most, (count, 1), np.float64)
-
-    def observed(self) -> Observation:
-        """The observation of the present state, with orientation and angular velocity."""
-        world: Any = self.world
-        turning = {
-            "orientation": world.angle[:, None],
-            "angular_velocity": world.angular_velocity[:, None],
-        }
-        return {**super().observed(), **turning}
-
-    def cost_terms(self) -> ChainCost:
-        """The last node to the goal, with the weights of the pickup."""
-        return ChainCost((self._shape[0] - 1,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
-
 
 def box_outline(half_size: np.ndarray) -> np.ndarray:
     """[4, 2] m: the corners of a box in its own frame, counter-clockwise."""
     return np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half_size
 
 
-class VerticalTask(ShapedTask):
+class VerticalTask(GripperTask):
     """Boxes of one type in a vertical plane above a floor, on MuJoCo; nothing is driven.
 
     Nodes are the boxes. The axes are x to the right and y up, the floor is the plane y = 0. The
@@ -70,18 +41,23 @@ class VerticalTask(ShapedTask):
     goal, which nothing steers to, is where the last box starts. A subclass defines the boxes.
     """
 
-    name: str
+    passive = True
+    max_force = None
+    observes_turning = True
+    count: int
+    """Of the boxes."""
     kind: str
     """Node type of the boxes."""
+    steps = 100
+    """Of an episode."""
     contact_time = 1.5e-3
     """s, of the simulator's contacts: no overlap is deeper than 1 mm."""
 
-    def __init__(self, count: int, max_steps: int, extent: float) -> None:
+    def __init__(self) -> None:
         # Raises `InvalidInputError` if MuJoCo is missing.
         import contactgraph.envs.mujoco_world  # noqa: F401
 
-        super().__init__(count, max_steps, extent, DT, passive=True)
-        self._count = count
+        super().__init__(self.count, self.steps, 1.0, dt=DT)
 
     @abstractmethod
     def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
@@ -91,7 +67,7 @@ class VerticalTask(ShapedTask):
         """Samples the scene of a seed."""
         from contactgraph.envs import mujoco_world
 
-        boxes, count = self.boxes(np.random.default_rng(seed)), self._count
+        boxes, count = self.boxes(np.random.default_rng(seed)), self.count
         world = mujoco_world.VerticalWorld(boxes, DT, self.contact_time)
         scene = Scene(
             node_name=(self.kind,)
@@ -108,31 +84,28 @@ class VerticalTask(ShapedTask):
             planes=np.array([[0.0, 1.0, 0.0]]),
             polygons=tuple(box_outline(box.size) for box in boxes),
             polygon_of=np.arange(count),
-            metadata={
-                "task": self.name,
-                "friction": boxes[0].friction,
-                "simulator": mujoco_world.SIMULATOR,
-                "substeps": world.substeps,
-                "contact_time": self.contact_time,
-            },
+            metadata={"friction": boxes[0].friction, "contact_time": self.contact_time},
         )
         return scene, world
 
+    def cost_terms(self) -> ChainCost:
+        """The last box to the goal, with the weights of the pickup."""
+        return ChainCost((self.count - 1,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
+
 
 class TossTask(VerticalTask):
-    """A box of 10 by 6 cm and 0.5 kg, tossed onto the floor; a `contactgraph.envs.Task`.
+    """A box is tossed onto the floor (MuJoCo).
 
-    It starts 0.2 to 0.5 m high at any angle, with up to 1.5 m/s sideways, 1 m/s up or down and
-    12 rad/s. The coefficient of friction is 0.4. An episode runs for 75 steps of 0.02 s, and
-    succeeds if the box is at rest at its end.
+    The box has 10 by 6 cm and 0.5 kg. It starts 0.2 to 0.5 m high at any angle, with up to 1.5 m/s
+    sideways, 1 m/s up or down and 12 rad/s. The coefficient of friction is 0.4. An episode runs for
+    75 steps of 0.02 s, and succeeds if the box is at rest at its end.
     """
 
     name = "toss"
     kind = "box"
+    count = 1
+    steps = 75
     contact_time = 7e-4
-
-    def __init__(self) -> None:
-        super().__init__(1, 75, 1.0)
 
     def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """One box in flight."""
@@ -166,7 +139,7 @@ def fallen(orientation: np.ndarray) -> np.ndarray:
 
 
 class DominoesTask(VerticalTask):
-    """Ten dominoes in a row, the first of them tipped over; a `contactgraph.envs.Task`.
+    """A row of ten dominoes falls, as far as it does (MuJoCo).
 
     Dominoes are 10 cm high, 2 cm thick and 0.2 kg heavy, with a coefficient of friction of 0.3.
     The gaps between them are 2.5 to 7 cm; in two scenes of three, one gap behind the second domino
@@ -177,9 +150,7 @@ class DominoesTask(VerticalTask):
 
     name = "dominoes"
     kind = "domino"
-
-    def __init__(self) -> None:
-        super().__init__(DOMINOES, 100, 1.0)
+    count = DOMINOES
 
     def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """The row, from left to right."""
@@ -199,17 +170,16 @@ class DominoesTask(VerticalTask):
 
 
 class StackTask(VerticalTask):
-    """Three boxes of 10 by 6 cm and 0.5 kg, at rest on one another; a `contactgraph.envs.Task`.
+    """Three boxes stand on one another (MuJoCo).
 
-    Each stands up to 2 cm beside the middle of the stack. The coefficient of friction is 0.4. An
-    episode runs for 100 steps of 0.02 s, and succeeds if no box has moved by 1 mm or 1 mrad.
+    Each has 10 by 6 cm and 0.5 kg, and stands up to 2 cm beside the middle of the stack. The
+    coefficient of friction is 0.4. An episode runs for 100 steps of 0.02 s, and succeeds if no box
+    has moved by 1 mm or 1 mrad.
     """
 
     name = "stack"
     kind = "box"
-
-    def __init__(self) -> None:
-        super().__init__(3, 100, 1.0)
+    count = 3
 
     def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
         """The stack, from below."""

@@ -1,15 +1,16 @@
 """The task ``unknown-mass``: blocks that look alike and weigh differently are pushed to a goal."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Observation
+from contactgraph.envs.contract import ChainCost, Conditions, Observation
 from contactgraph.envs.exploration import CorrelatedNoise
 from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, MAX_FORCE
 from contactgraph.envs.pickup import GOAL_WEIGHTS, TARGET, CarryTask, Metadata
-from contactgraph.envs.pickup_layout import HALF_WIDTH, RADIUS
+from contactgraph.envs.pickup_layout import HALF_WIDTH
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
@@ -22,64 +23,6 @@ GROUND_FRICTION = 0.1
 """Coulomb's coefficient between a block and the table: a deceleration of 0.98 m/s^2."""
 CONTROL_WEIGHT = 3e-4
 """1/N^2: the way round a block, by forces of some newtons, must cost less than the last 2 cm."""
-
-
-class UnknownMassTask(CarryTask):
-    """A pusher moves a block of unknown mass to a goal; a `contactgraph.envs.Task`.
-
-    Nodes are the pusher (0), the target (1) and ``distractors`` further blocks. All are discs of
-    radius 0.04 m that do not rotate. The pusher has 1 kg, and the control ``[2]`` N is a force on
-    it. A block has 0.5 to 2 kg, drawn for each block of each episode, evenly in their logarithm;
-    `Scene.mass` tells it, and nothing that is observed does. Blocks slide on a table with a
-    coefficient of 0.1, so that all of them slow down alike; between two bodies it is 0.3, and
-    impacts do not bounce. An episode runs for 200 steps, and succeeds if the target is within 2 cm
-    of the goal at its end.
-
-    ``fixed_seed`` is the seed of a scene whose target and goal every episode shares. ``engine``:
-    see `PlanarWorld`. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
-    """
-
-    name = "unknown-mass"
-    goal_radius = 0.02
-    observes_holding = False
-
-    def __init__(
-        self, distractors: int = 0, fixed_seed: int | None = None, engine: str | None = None
-    ) -> None:
-        super().__init__(distractors, fixed_seed, engine=engine)
-
-    def hold_rule(self, seed: int) -> tuple[None, Metadata]:
-        """Nothing is held."""
-        return None, {
-            "friction": FRICTION,
-            "ground_friction": GROUND_FRICTION,
-            "goal_radius": self.goal_radius,
-        }
-
-    def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
-        """The pusher, or a block of drawn mass."""
-        body = PlanarBody(place, MASS, radius=RADIUS, friction=FRICTION)
-        if node == GRIPPER:
-            return body
-        # A stream of its own: the draws of the layout depend on the number of distractors.
-        low, high = np.log(MASSES)
-        drawn = np.random.default_rng([seed, 1]).uniform(low, high, node)
-        return replace(body, mass=float(np.exp(drawn[-1])), ground_friction=GROUND_FRICTION)
-
-    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
-        """Samples the scene of a seed, with everything at rest."""
-        scene, world = super().begin(seed)
-        scene = replace(
-            scene,
-            node_name=("pusher", *scene.node_name[1:]),
-            node_type=("pusher", *["block"] * (scene.node_count - 1)),
-            control_kind=("force", "force"),
-        )
-        return scene, world
-
-    def cost_terms(self) -> ChainCost:
-        """The target to the goal; hardly the pusher to the target."""
-        return ChainCost((GRIPPER, TARGET), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
 
 
 STYLE = PushStyle(clearance=0.13, speed=0.6, lead=1.0, near_enough=0.01, approach=2.0)
@@ -124,3 +67,59 @@ class ForcedPush:
         force += np.clip(resistance, -MOST_RESISTANCE, MOST_RESISTANCE)
         self._force, self._velocity = np.clip(force, -MAX_FORCE, MAX_FORCE), velocity
         return self._force
+
+
+class UnknownMassTask(CarryTask):
+    """A pusher moves a block of unknown mass to a goal.
+
+    Nodes are the pusher (0), the target (1) and ``distractors`` further blocks. All are discs that
+    do not rotate. The pusher has 1 kg, and the control ``[2]`` N is a force on
+    it. A block has 0.5 to 2 kg, drawn for each block of each episode, evenly in their logarithm;
+    `Scene.mass` tells it, and nothing that is observed does. Blocks slide on a table with a
+    coefficient of 0.1, so that all of them slow down alike; between two bodies it is 0.3, and
+    impacts do not bounce. An episode runs for 200 steps, and succeeds if the target is within 2 cm
+    of the goal at its end.
+
+    Arguments: see `CarryTask`. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
+    """
+
+    name = "unknown-mass"
+    expert = ForcedPush
+    fixed_start = demonstrator = partial(ForcedPush, noise=0.0, variety=0.0)
+    explorer = partial(ForcedPush, random=True)
+    horizon, starts = 30, 64
+    conditions: Conditions = (("as trained", {}), ("3 distractors", {"distractors": 3}))
+    goal_radius = 0.02
+
+    def hold_rule(self, seed: int) -> tuple[None, Metadata]:
+        """Nothing is held."""
+        return None, {
+            "friction": FRICTION,
+            "ground_friction": GROUND_FRICTION,
+            "goal_radius": self.goal_radius,
+        }
+
+    def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
+        """The pusher, or a block of drawn mass."""
+        body = replace(super().body(place, node, seed), friction=FRICTION)
+        if node == GRIPPER:
+            return body
+        # A stream of its own: the draws of the layout depend on the number of distractors.
+        low, high = np.log(MASSES)
+        drawn = np.random.default_rng([seed, 1]).uniform(low, high, node)
+        return replace(body, mass=float(np.exp(drawn[-1])), ground_friction=GROUND_FRICTION)
+
+    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
+        """Samples the scene of a seed, with everything at rest."""
+        scene, world = super().begin(seed)
+        scene = replace(
+            scene,
+            node_name=("pusher", *scene.node_name[1:]),
+            node_type=("pusher", *["block"] * (scene.node_count - 1)),
+            control_kind=("force", "force"),
+        )
+        return scene, world
+
+    def cost_terms(self) -> ChainCost:
+        """The target to the goal; hardly the pusher to the target."""
+        return ChainCost((GRIPPER, TARGET), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)

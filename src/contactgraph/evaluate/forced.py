@@ -16,11 +16,32 @@ from contactgraph.data import Dataset, InvalidInputError, Trajectory
 from contactgraph.data.schema import given_fields
 from contactgraph.envs.contract import Observation, Task
 from contactgraph.envs.episodes import EpisodeStates
+from contactgraph.envs.planar.world import ENGINES
+from contactgraph.envs.registry import make, task_names, task_spec
 
 EVERY = 12
 """States from the start of one window to that of the next."""
 FORCES = (0.5, 3.0)
 """The weakest and the strongest forced control, N."""
+
+
+def recorded_task(dataset: Dataset, trajectory: Trajectory) -> Task:
+    """The task of an episode in a dataset, with the options and the engine of its metadata.
+
+    Raises `InvalidInputError` where these name no planar task, or no seed. A file does not get to
+    import a class: it names tasks only.
+    """
+    metadata = {**dataset.metadata, **trajectory.scene.metadata}
+    name, engine = str(metadata.get("task")), str(metadata.get("simulator")).partition(" ")[0]
+    seeded = isinstance(trajectory.scene.metadata.get("seed"), int)
+    if engine not in ENGINES or name not in task_names() or not seeded:
+        raise InvalidInputError(
+            "forced windows need episodes of planar tasks, recorded by collect, with their seeds; "
+            f"found task {name}, simulator {metadata.get('simulator')}"
+        )
+    arguments = task_spec(name).options
+    options = {each: value for each, value in metadata.items() if each in arguments}
+    return make(name, **{**options, "engine": engine})
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,5 +11,6 @@ from contactgraph.policies.task_cost import CandidateTrials as CandidateTrials
 from contactgraph.policies.task_cost import SceneCost as SceneCost
 from contactgraph.policies.task_cost import TaskCost as TaskCost
 from contactgraph.policies.task_policy import PlannerFactory as PlannerFactory
+from contactgraph.policies.task_policy import planning as planning
 from contactgraph.policies.task_policy import switches_of as switches_of
 from contactgraph.policies.task_policy import task_policy as task_policy

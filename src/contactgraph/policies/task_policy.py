@@ -41,6 +41,7 @@ PlannerFactory = Callable[..., Planner]
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
+_SERVOS = {"position", "displacement", "velocity"}
 _LEAP_ROLLOUTS = 3
 """More rollouts for a plan with switches: a schedule that leaps pays after seven or eight only."""
 
@@ -48,6 +49,26 @@ _LEAP_ROLLOUTS = 3
 def switches_of(scene: Scene) -> tuple[int, ...]:
     """The components of the control that are switches."""
     return tuple(each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch")
+
+
+def planning(task: Task) -> tuple[int, int, str]:
+    """Horizon [steps] and starts of plans in a task that has begun an episode, and why.
+
+    What its attributes ``horizon`` and ``starts`` do not give follows from what is controlled: a
+    servo, or a displacement, pushes and cannot pull, so a plan is long and begins with a search for
+    the side to push from. Forces act on what is touched and held, where iLQR needs neither.
+    """
+    horizon, starts = (getattr(task, name, None) for name in ("horizon", "starts"))
+    kinds = sorted(_SERVOS & set(task.scene.control_kind or ()))
+    reason = f"the control is a {kinds[0]}" if kinds else "the control is a force"
+    if horizon is not None and starts is not None:
+        reason = "the task says so"
+    default_horizon, default_starts = (30, 64) if kinds else (20, 0)
+    return (
+        default_horizon if horizon is None else horizon,
+        default_starts if starts is None else starts,
+        reason,
+    )
 
 
 def task_policy(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contactgraph.cli.options import choice
 from contactgraph.data import InvalidInputError
+from contactgraph.data.lookup import choice
 from contactgraph_franka.cli.options import FAKE, NO_BLOCK, ArmOptions, RobotFault
 from contactgraph_franka.driver.readings import AssumedBlock
 from contactgraph_franka.envs.pickup import ArmLayout

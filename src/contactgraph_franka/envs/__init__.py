@@ -1,1 +1,1 @@
-"""The arm's pickup. `franka_task`, `arm_world` and `arm_model` need MuJoCo, the rest does not."""
+"""The arm's pickup. `arm_world`, `arm_model` and `arm_picture` import MuJoCo, the rest does not."""

@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from contactgraph.envs.mujoco_world import SIMULATOR
 from contactgraph_franka.envs.arm_model import JOINTS, Impedance, JointLimitBrakes, arm_xml, mujoco
-from contactgraph_franka.envs.pickup import Grasp
+from contactgraph_franka.envs.pickup import BLOCK_MASS, Grasp
 
 OPEN = 0.03
 """Distance of each open finger from the middle, m."""
@@ -22,8 +23,6 @@ LOST = 0.03
 """Distance of a block at which closing fingers open again, m."""
 MISS = 0.022
 """Least distance from the grasp point of a passing block that is not grasped, m."""
-BLOCK_MASS = 0.4
-"""kg"""
 _BLOCK = """
 <body name="block{index}" pos="{x} {y} {z}" euler="0 0 {yaw}">
   <freejoint/><geom name="block{index}" class="block" mass="{mass}" rgba="{colour}"/>
@@ -42,6 +41,7 @@ class ArmWorld:
         grasp: Grasp = Grasp.FRICTION,
     ) -> None:
         """``joints`` [7] rad; positions ``blocks`` [M, 3] m and ``yaw`` [M] rad of the blocks."""
+        self.metadata = {"simulator": SIMULATOR}
         self.description = _scene_xml(blocks, yaw)
         """The MJCF of the scene."""
         self.model = mujoco.MjModel.from_xml_string(self.description)

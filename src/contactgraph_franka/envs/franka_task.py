@@ -1,27 +1,24 @@
-"""The arm's pickup task: a Panda sweeps through a block and carries it to a goal in the air."""
+"""The arm's pickup task: a Panda sweeps through a block and carries it to a goal in the air.
 
-import importlib.util
-import re
-from pathlib import Path
-from typing import Any
+MuJoCo is imported once a task is made.
+"""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
-from contactgraph.envs.contract import ChainCost, Feedback, Observation
+from contactgraph.data.lookup import choice
+from contactgraph.envs.contract import ChainCost, Conditions, Feedback, Observation
+from contactgraph.envs.exploration import ExplorationPolicy
 from contactgraph.envs.gripper_task import GRIPPER, GripperTask, check_count, fixed_layout
-from contactgraph.envs.mujoco_world import SIMULATOR
-from contactgraph_franka.envs.arm_model import (
-    arm_xml,
-    inverse_kinematics,
-    mujoco,
-    open_renderer,
-)
-from contactgraph_franka.envs.arm_world import BLOCK_MASS, ArmWorld
+from contactgraph_franka.envs.expert import FrankaExpert
 from contactgraph_franka.envs.pickup import (
     APPARENT_MASS,
     BLOCK,
+    BLOCK_MASS,
     CONTACT_DISTANCE,
     GOAL_RADIUS,
     HIGH,
@@ -32,52 +29,53 @@ from contactgraph_franka.envs.pickup import (
     sample_layout,
 )
 
+if TYPE_CHECKING:
+    from contactgraph_franka.envs.arm_picture import ArmPicture
+    from contactgraph_franka.envs.arm_world import ArmWorld
+
 DT = 0.01
 """s"""
 MAX_STEPS = 400
 MAX_DISTRACTORS = 5
-HEIGHT, WIDTH = 480, 640
-"""Size of a picture, px."""
-_LOOK_AT, _DISTANCE, _AZIMUTH, _ELEVATION = (0.4, 0.0, 0.25), 1.55, 135.0, -20.0
-_MARKER_RADIUS, _MARKER_COLOUR = 0.015, np.array([0.2, 0.4, 0.9, 0.8], np.float32)
-# Shadows and anti-aliasing take twenty times as long without a GPU.
-_VISUAL = f"""<visual>
-  <global offheight="{HEIGHT}" offwidth="{WIDTH}"/><quality shadowsize="0" offsamples="0"/>
-  <headlight ambient=".5 .5 .5" diffuse=".5 .5 .5"/>
-</visual>"""
-_SKY = """<texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="48"/>"""
-_MESHES = (*(f"link{index}" for index in range(8)), "hand", "finger", "finger")
-"""The maker's meshes, in the order of the geoms that they replace."""
-_GEOMS = re.compile(
-    r'<geom class="link".*?/>|<geom name="palm".*?/>|<geom type="box" size="\.008 .*?/>', re.DOTALL
-)
 
 
 class FrankaTask(GripperTask):
-    """The paper's arm task on MuJoCo; a `contactgraph.envs.Task`.
+    """A robot arm picks up a block and takes it to a goal (MuJoCo).
 
-    Nodes are the hand (0), the block to pick up (1) and ``distractors`` further blocks on the
-    table. The control ``[3]`` N is a force on the hand, which moves as a mass of 4 kg and keeps
-    its orientation (`Impedance`); the fingers close by themselves on a block that passes between
-    them (`GraspReflex`) and hold it by friction. The reward is the negative distance from block to
-    goal, m. An episode has 400 steps of 0.01 s.
+    The paper's arm task. Nodes are the hand (0), the block to pick up (1) and ``distractors``
+    further blocks on the table. The control ``[3]`` N is a force on the hand, which moves as a mass
+    of 4 kg and keeps its orientation (`Impedance`); the fingers close by themselves on a block that
+    passes between them (`GraspReflex`) and hold it by ``grasp``: friction, or a weld. The reward is
+    the negative distance from block to goal, m. An episode has 400 steps of 0.01 s.
 
     ``fixed_seed`` is the seed of a scene whose goal and target position all episodes share; the
     hand and the distractors still vary, and the block faces the hand. None: each episode has its
     own. With ``render_mode`` "rgb_array", `render` returns pictures.
 
-    Raises `InvalidInputError` if ``distractors`` is not in 0 to 5.
+    Raises `InvalidInputError` if ``distractors`` is not in 0 to 5, or MuJoCo is missing.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / DT)}  # noqa: RUF012
+    name = "franka"
+    expert = FrankaExpert
+    explorer = partial(
+        ExplorationPolicy, deviation=2.0, correlation_steps=25.0, stiffness=20.0, damping=8.0
+    )
+    """For a hand of 4 kg and steps of 0.01 s: the position spreads by 0.1 m on each axis."""
+    horizon = 50
+    max_force = MAX_FORCE
+    conditions: Conditions = (("as trained", {}), ("5 distractors", {"distractors": 5}))
 
     def __init__(
         self,
         distractors: int = 0,
-        grasp: Grasp = Grasp.FRICTION,
+        grasp: str = Grasp.FRICTION,
         render_mode: str | None = None,
         fixed_seed: int | None = None,
     ) -> None:
+        # Raises `InvalidInputError` if MuJoCo is missing.
+        from contactgraph_franka.envs.arm_model import arm_xml, mujoco
+
         check_count("distractors", distractors, 0, MAX_DISTRACTORS)
         if render_mode not in (None, "rgb_array"):
             raise InvalidInputError(f"render_mode must be rgb_array or None, found {render_mode!r}")
@@ -87,19 +85,21 @@ class FrankaTask(GripperTask):
             float(np.max(HIGH)),
             dimension=3,
             dt=DT,
-            max_force=MAX_FORCE,
             mass=APPARENT_MASS,
             fixed_seed=fixed_seed,
         )
         self._distractors = distractors
-        self._grasp = grasp
+        self._grasp = choice("grasp", grasp, {each.value: each for each in Grasp})
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_DISTRACTORS))
         self.render_mode = render_mode
-        self._camera: Camera | None = None
+        self._camera: ArmPicture | None = None
         self._arm = mujoco.MjModel.from_xml_string(arm_xml())
 
-    def begin(self, seed: int) -> tuple[Scene, ArmWorld]:
+    def begin(self, seed: int) -> "tuple[Scene, ArmWorld]":
         """Samples the scene of a seed, with everything at rest."""
+        from contactgraph_franka.envs.arm_model import inverse_kinematics
+        from contactgraph_franka.envs.arm_world import ArmWorld
+
         layout = sample_layout(np.random.default_rng(seed), self._distractors, self._fixed)
         joints = inverse_kinematics(self._arm, layout.hand, layout.yaw)
         world = ArmWorld(joints, layout.blocks, layout.block_yaw, DT, self._grasp)
@@ -115,12 +115,10 @@ class FrankaTask(GripperTask):
             mass=np.array([APPARENT_MASS, *[BLOCK_MASS] * (count - 1)]),
             size=np.array([[np.nan] * 3, *[BLOCK] * (count - 1)]),
             metadata={
-                "task": "franka",
                 "distractors": self._distractors,
                 "grasp": self._grasp.value,
                 "goal_radius": GOAL_RADIUS,
                 "contact_distance": CONTACT_DISTANCE,
-                "simulator": SIMULATOR,
             },
         )
         return scene, world
@@ -160,7 +158,9 @@ class FrankaTask(GripperTask):
             return None
         world = self._arm_world()
         if self._camera is None:
-            self._camera = Camera(world.description)
+            from contactgraph_franka.envs.arm_picture import ArmPicture
+
+            self._camera = ArmPicture(world.description)
         return self._camera.picture(world.data.qpos, np.asarray(self.scene.goal))
 
     def close(self) -> None:
@@ -169,70 +169,5 @@ class FrankaTask(GripperTask):
             self._camera.close()
             self._camera = None
 
-    def _arm_world(self) -> ArmWorld:
-        world = self.world
-        assert isinstance(world, ArmWorld)
-        return world
-
-
-class Camera:
-    """Renders the scene of an `ArmWorld` from its MJCF ``description``.
-
-    The package ``dm-robotics-panda``, if installed, provides the arm's meshes; capsules stand in
-    otherwise. Raises `InvalidInputError` if MuJoCo has no OpenGL to render with.
-    """
-
-    def __init__(self, description: str) -> None:
-        self._model = mujoco.MjModel.from_xml_string(_with_visuals(description))
-        self._data = mujoco.MjData(self._model)
-        self._view = mujoco.MjvCamera()
-        self._view.lookat[:] = _LOOK_AT
-        self._view.distance, self._view.azimuth = _DISTANCE, _AZIMUTH
-        self._view.elevation = _ELEVATION
-        self._renderer = open_renderer(self._model, HEIGHT, WIDTH, "pictures of the arm need")
-
-    def picture(self, qpos: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """[480, 640, 3] uint8: joints and blocks at ``qpos``, and a marker at ``goal`` [3] m."""
-        self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self._data)
-        self._renderer.update_scene(self._data, self._view)
-        scene = self._renderer.scene
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom],
-            mujoco.mjtGeom.mjGEOM_SPHERE,
-            np.full(3, _MARKER_RADIUS),
-            goal,
-            np.eye(3).ravel(),
-            _MARKER_COLOUR,
-        )
-        scene.ngeom += 1
-        return self._renderer.render()
-
-    def close(self) -> None:
-        """Releases the renderer."""
-        self._renderer.close()
-
-
-def _with_visuals(description: str) -> str:
-    folder = _mesh_folder()
-    assets = _SKY
-    if folder is not None:
-        meshes = iter(_MESHES)
-        description = _GEOMS.sub(
-            lambda _: f'<geom type="mesh" mesh="{next(meshes)}" rgba=".95 .95 .96 1"/>', description
-        )
-        assets += "".join(
-            f'<mesh name="{name}" file="{folder / name}.obj"/>' for name in sorted(set(_MESHES))
-        )
-    return description.replace("<worldbody>", f"{_VISUAL}<asset>{assets}</asset><worldbody>", 1)
-
-
-def _mesh_folder() -> Path | None:
-    """The folder of the maker's meshes, if a package that has them is installed."""
-    if importlib.util.find_spec("dm_robotics") is None:
-        return None
-    package = importlib.util.find_spec("dm_robotics.panda")
-    if package is None or package.origin is None:
-        return None
-    folder = Path(package.origin).parent / "assets" / "panda"
-    return folder if all((folder / f"{name}.obj").is_file() for name in _MESHES) else None
+    def _arm_world(self) -> "ArmWorld":
+        return cast("ArmWorld", self.world)

@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 
@@ -16,6 +16,8 @@ APPARENT_MASS = 4.0
 """Mass of the hand under impedance control, kg; about the arm's own inertia there."""
 BLOCK = np.array([0.04, 0.04, 0.1])
 """Sides of a block, m."""
+BLOCK_MASS = 0.4
+"""kg"""
 GRAVITY = np.array([0.0, 0.0, -9.81])
 """m/s^2"""
 GOAL_RADIUS = 0.05
@@ -54,7 +56,7 @@ EDGE = 0.03
 """Least distance of blocks from the edge of the region, m."""
 
 
-class Grasp(Enum):
+class Grasp(StrEnum):
     """Coupling between the hand and a grasped block."""
 
     FRICTION = "friction"

@@ -32,7 +32,7 @@ class KnownAnswer(NamedTuple):
 
 def own_cost(task: StudyTask) -> LearnedCost:
     """The task's own cost in the form of a learned one."""
-    made = task.known.make()
+    made = task.spec.make()
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
     control_size = cast(gymnasium.spaces.Box, made.action_space).shape[0]
@@ -132,7 +132,7 @@ def _state_rows(nodes: Sequence[int], size: int) -> np.ndarray:
 
 
 def _at_limit(task: StudyTask, trajectories: Path) -> float:
-    if not trajectories.is_file() or task.known.max_force is None:
+    if not trajectories.is_file() or task.spec.max_force is None:
         return float("nan")
     force = np.concatenate([one.control for one in read_trajectories(trajectories)])
-    return float(np.mean((np.abs(force) >= _AT_LIMIT * task.known.max_force).any(axis=1)))
+    return float(np.mean((np.abs(force) >= _AT_LIMIT * task.spec.max_force).any(axis=1)))

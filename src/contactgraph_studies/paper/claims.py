@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from contactgraph.cli.task_types import TestCondition
+from contactgraph.envs.registry import TestCondition
 from contactgraph_studies.bootstrap import Estimate, Sample, Verdict, all_hold, estimate, mean
 from contactgraph_studies.paper import jobs, statements
 from contactgraph_studies.paper.config import (

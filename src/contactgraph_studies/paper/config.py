@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from contactgraph.cli.known_tasks import TASKS as LIBRARY_TASKS
-from contactgraph.cli.task_types import KnownTask, TestCondition
-from contactgraph_franka.envs.task_entry import FRANKA as FRANKA_TASK
+from contactgraph.envs.registry import TaskSpec, TestCondition, task_spec
 from contactgraph_studies.job import Options
 
 
@@ -63,8 +61,6 @@ class StudyTask:
     """One of the paper's tasks."""
 
     name: str
-    known: KnownTask
-    """Its test conditions and targets."""
     augmented_options: Options
     """Options of ``collect`` for the augmented data."""
     prior_distance: str
@@ -95,9 +91,14 @@ class StudyTask:
         return tuple(one for one in FAMILIES if set(one.compared[:3]) <= set(self.models))
 
     @property
+    def spec(self) -> TaskSpec:
+        """Of the task's class."""
+        return task_spec(self.name)
+
+    @property
     def conditions(self) -> tuple[TestCondition, ...]:
         """The one in distribution first, the hardest last."""
-        return tuple(one for one in self.known.conditions if not one.extra)
+        return self.spec.test_conditions(every=False)
 
     @property
     def as_trained(self) -> TestCondition:
@@ -201,7 +202,6 @@ FAMILIES = (LITERAL, CARED_FOR, OURS)
 _3_DISTRACTORS = ("--distractors", "3", "--mixed")
 PICKUP = StudyTask(
     "pickup",
-    LIBRARY_TASKS["pickup"],
     _3_DISTRACTORS,
     "0.1",
     160,
@@ -209,15 +209,13 @@ PICKUP = StudyTask(
 )
 MULTI_PICKUP = StudyTask(
     "multi-pickup",
-    LIBRARY_TASKS["multi-pickup"],
     ("--objects", "3", "--mixed"),
     "0.2",
     120,
 )
-DOOR = StudyTask("door", LIBRARY_TASKS["door"], _3_DISTRACTORS, "0.085", 160)
+DOOR = StudyTask("door", _3_DISTRACTORS, "0.085", 160)
 FRANKA = StudyTask(
     "franka",
-    FRANKA_TASK,
     _3_DISTRACTORS,
     "0.02",
     800,

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from contactgraph.cli.task_types import TestCondition
+from contactgraph.cli.options import option_arguments
+from contactgraph.envs.registry import TestCondition
 from contactgraph_studies.bootstrap import Sample, root_mean_square
 from contactgraph_studies.job import Job, Measurement, Options
 from contactgraph_studies.paper.config import (
@@ -144,7 +145,7 @@ def _of_model(
         # The page shows episodes of GIM-Temp.
         yield one.control(Source.planned, scenes, "planned", options, save=whole)
         if whole:
-            most = amounts.success_episodes if scenes is trained_on else amounts.episodes
+            most = amounts.success_episodes if scenes == trained_on else amounts.episodes
             yield one.control(Source.every_step, scenes, "every-step", ("--episodes", str(most)))
     if model in (family.gim_temp, family.full_ab) and family.full_ab in task.models:
         yield one.evaluate(Source.growth, trained_on, "growth", ("--growth-steps", long))
@@ -199,7 +200,7 @@ class _TrainedModel:
         """Predictions of expert trajectories in scenes that are in no training data."""
         counts = ("--episodes", str(self.amounts.test_runs), "--seed", str(TEST_SEED))
         output = f"cells/{self.task.name}/test-{scenes.slug}.h5"
-        data = self.trajectories(output, *counts, *scenes.options)
+        data = self.trajectories(output, *counts, *option_arguments(scenes.options))
         output = self.training.output.removesuffix("run") + f"{name}.json"
         arguments = ("evaluate", self.training.output, data.output, *options, "--json", output)
         group = f"evaluate {data.output} after {self.training.group}"
@@ -220,7 +221,7 @@ class _TrainedModel:
         output, saved = f"{path}.json", (f"{path}.h5",) if save else ()
         arguments = (
             *("control", self.training.output, self.task.name, "--seed", str(TEST_SEED)),
-            *(*scenes.options, *options, "--json", output),
+            *(*option_arguments(scenes.options), *options, "--json", output),
             *(("--save", *saved) if save else ()),
         )
         group = f"{name} {scenes.slug} after {self.training.group}"

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from contactgraph.cli.task_types import TestCondition
+from contactgraph.envs.registry import TestCondition
 from contactgraph.viz.metric_table import short
 from contactgraph_studies.bootstrap import Verdict
 from contactgraph_studies.job import JobRecords, Measurement
@@ -133,7 +133,7 @@ def model_table(results: Results, tasks: Sequence[StudyTask], amounts: Amounts) 
         return {
             "task": task.name,
             "scenes": scenes.name,
-            "in_distribution": scenes.in_distribution,
+            "in_distribution": scenes == task.as_trained,
             "model": model.name,
             "seeds": len(error.values),
             "planned_moving_cm": get(closed, PLANNED_BY_EPISODE),
