@@ -176,6 +176,7 @@ class Servo(PickupTask):
 
 class Long(Servo):
     horizon = 45
+    clearance = 0.02
 """
 
 
@@ -230,7 +231,7 @@ def test_a_class_with_the_attributes_of_a_shipped_task_gets_the_same_entry() -> 
 
 def test_any_option_of_a_class_comes_by_its_name(own_task: str, tmp_path: Path) -> None:
     path = tmp_path / "own.h5"
-    pairs = ["--option", "gain=2.5", "--option", "label='two words'", "--option", "distractors=1"]
+    pairs = ["--option", "gain=2.5", "--option", "label=two words", "--option", "distractors=1"]
     assert cli.run(["collect", own_task, "--episodes", "2", *pairs, "--out", str(path)]) == 0
     dataset = read_trajectories(path)
     options = {"gain": 2.5, "label": "two words", "distractors": 1}
@@ -253,7 +254,9 @@ def test_an_option_that_is_no_flag_makes_the_recorded_task_again(tmp_path: Path)
 def test_control_and_play_take_an_option(own_task: str, interrupted: Callable) -> None:
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", own_task, "--option", "gain=2"]) == 130
-    assert calls[0].arguments[1].gain == 2
+    assert cli.run(["control", "pickup", "own_task:Long"]) == 130
+    assert calls[0].arguments[1].gain == 2 and calls[0].options["clearance"] is None
+    assert (calls[1].options["clearance"], calls[1].options["routes"]) == (0.02, 7)
     begun = interrupted("contactgraph.play.Session")
     assert cli.run(["play", "pickup", own_task, "--option", "gain=3"]) == 130
     assert begun[0].arguments[1].keywords["options"] == {own_task: {"gain": 3}}
@@ -266,10 +269,10 @@ def test_control_and_play_take_an_option(own_task: str, interrupted: Callable) -
         ("gain", "--option must be KEY=VALUE, found 'gain'"),
         (
             "gain=0.0.4",
-            "--option gain: must be a number, true, false, a word or a text in",
+            "--option gain: must be a number, true, false or text that beg",
         ),
-        ("gain=[1]", "--option gain: must be a number, true, false, a word or a text in"),
-        ("gain=", "--option gain: must be a number, true, false, a word or a text in"),
+        ("gain=[1]", "--option gain: must be a number, true, false or text that beg"),
+        ("gain=", "--option gain: must be a number, true, false or text that beg"),
         ("gain=big", "gain of own_task:Servo must be of type float, found 'big'"),
         ("gain=true", "gain of own_task:Servo must be of type float, found True"),
         ("distractors=1.5", "distractors of own_task:Servo must be of type int, found 1.5"),

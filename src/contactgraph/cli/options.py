@@ -200,8 +200,8 @@ FLAGS = (
     *("in_the_way", "engine"),
 )
 """Options of tasks that are flags of the commands; ``fixed_seed`` is ``--goal fixed``."""
-_WORD = re.compile(r"[A-Za-z_./][\w./:+-]*")
-"""Text that needs no quotes in a value of ``--option``."""
+_TEXT = re.compile(r"[A-Za-z_./][\w./:+ -]*")
+"""Text that needs no quotes of its own in a value of ``--option``: a shell takes quotes away."""
 
 
 def given_options(command: Any) -> dict[str, Any]:
@@ -222,17 +222,17 @@ def given_options(command: Any) -> dict[str, Any]:
 
 
 def _read_value(name: str, text: str) -> bool | int | float | str:
-    """A literal of Python, or of TOML, or a word."""
+    """A literal of Python, or of TOML, or text."""
     if text in ("true", "false"):
         return text == "true"
     try:
         value = ast.literal_eval(text)
     except (SyntaxError, ValueError):
-        value = text if _WORD.fullmatch(text) else None
+        value = text if _TEXT.fullmatch(text) else None
     if not isinstance(value, bool | int | float | str):
         raise InvalidInputError(
-            f"--option {name}: must be a number, true, false, a word or a text in quotes, found "
-            f"{text!r}"
+            f"--option {name}: must be a number, true, false or text that begins with a letter, "
+            f"found {text!r}"
         )
     return value
 

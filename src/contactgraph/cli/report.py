@@ -153,7 +153,7 @@ class Report:
         training = run_folder(self.model)
         metrics = report_metrics(results, summary)
         data = ReportData(
-            title=f"A contact graph: {task.summary or self.task}",
+            title=f"{task.summary or self.task}: a contact graph",
             summary="A model learned from recorded trajectories of a gripper when bodies touch and "
             "how they move then; iLQR-MPC uses it to do the same in new scenes.",
             metrics=metrics,
