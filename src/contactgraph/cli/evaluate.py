@@ -23,7 +23,7 @@ from contactgraph.cli.options import (
 
 if TYPE_CHECKING:
     from contactgraph.data import Dataset
-    from contactgraph.evaluate import Baseline
+    from contactgraph.evaluate import OpenLoopMetrics, Predictor
     from contactgraph.model import ContactDynamics
 
 
@@ -52,6 +52,10 @@ class Evaluate:
     """Correct beliefs by measured contacts alone."""
     inference: Inference = "filter"
     metric: MetricNames = ()
+    prediction: Annotated[
+        tuple[str, ...], arg(metavar="MODULE:FUNCTION ...", help_behavior_hint="(none)")
+    ] = ()
+    """Predictions of your own, measured beside the model's under the functions' names."""
     growth_steps: Annotated[int | None, arg(metavar="STEPS", help_behavior_hint="(optional)")] = (
         None
     )
@@ -84,11 +88,14 @@ class Evaluate:
             rollout_growth,
         )
         from contactgraph.evaluate.forced import recorded_task
+        from contactgraph.evaluate.metrics import json_key
+        from contactgraph.evaluate.statistics import finite_or_none
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
         faults = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, seed=0)
         own_metrics = own_functions("--metric", self.metric)
+        predictions = own_functions("--prediction", self.prediction)
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
         check_range("--forced-every", self.forced_every, 1, 100_000)
@@ -100,18 +107,18 @@ class Evaluate:
         if self.forced:
             task_of = partial(recorded_task, dataset)
             tested, episodes = forced_windows(dataset, task_of, steps, self.forced_every)
-        baselines, effort = self._fitted(model, dataset)
+        fitted, effort = self._fitted(model, dataset)
         metrics = evaluate_open_loop(
             model,
             tested,
             horizon_s=self.horizon,
             faults=faults,
             motion_noise=noise,
-            baselines=baselines,
+            predictions={**fitted, **predictions},
             metrics=own_metrics,
             last_window_of=episodes,
         )
-        growth = None
+        growth: dict[str, float] = {}
         if self.growth_steps is not None:
             growth = rollout_growth(model, dataset, self.growth_steps)
         values = {
@@ -130,19 +137,21 @@ class Evaluate:
             "training_s": describe_model(model_path(self.model)).training.get("training_s"),
             **metrics.to_json(),
             **effort,
-            **({} if growth is None else growth.to_json()),
+            **{name: finite_or_none(value) for name, value in growth.items()},
         }
         write_json(self.json, values)
-        _print_summary(values, metrics.unbeaten)
+        _print_summary(values, metrics)
         for name in own_metrics:
-            print(f"{name}: {values[name]}")
+            for which in metrics.predictions:
+                if (key := json_key(which, name)) in values:
+                    print(f"{key}: {values[key]}")
         if effort.get("least_squares_missing") is not None:
             print(f"least squares: {effort['least_squares_missing']}")
         print(f"contact distance: {contact_distance_text(model)}")
-        if growth is not None:
+        if growth:
             print(
-                f"over {self.growth_steps} steps the state grows {_times(growth.growth_free)} "
-                f"without control, {_times(growth.growth_driven)} with it"
+                f"over {self.growth_steps} steps the state grows {_times(growth['growth_free'])} "
+                f"without control, {_times(growth['growth_driven'])} with it"
             )
         unlabelled = sum(each.contact is None for each in with_edge_labels(dataset))
         if unlabelled:
@@ -153,7 +162,7 @@ class Evaluate:
 
     def _fitted(
         self, model: "ContactDynamics", test: "Dataset"
-    ) -> "tuple[dict[str, Baseline], dict[str, Any]]":
+    ) -> "tuple[dict[str, Predictor], dict[str, Any]]":
         """The baselines fitted to a dataset file, the network for as long as the model, and what
         that took, by their JSON keys; none without ``--baselines``."""
         from contactgraph.cli.models import in_steps_of, model_path
@@ -185,32 +194,33 @@ _TRAINING_S = 60.0
 """Time for the network where the model's own is not known, s."""
 _TRAINING_STEPS = 2000
 """Least optimiser steps of the network where the model's own are not known."""
-_PREDICTIONS = {
-    "the model": ("n_step", ""),
-    "  nothing measured": ("n_step", "_unmeasured"),
-    "  contacts inferred": ("n_step", "_inferred"),
-    "constant velocity": ("constant_velocity", ""),
-    "standing still": ("standing_still", ""),
-    "least squares": ("least_squares", ""),
-    "interaction network": ("gnn", ""),
-    "fixed contact (oracle)": ("frozen_contact", ""),
+_TEXTS = {
+    "n_step": "the model",
+    "n_step_unmeasured": "  nothing measured",
+    "n_step_inferred": "  contacts inferred",
+    "constant_velocity": "constant velocity",
+    "standing_still": "standing still",
+    "least_squares": "least squares",
+    "gnn": "interaction network",
+    "frozen_contact": "fixed contact (oracle)",
 }
-_BODIES = ("_moving", "")
+"""Of the predictions, in the order of their table; others stand below by their names."""
 _CONTACTS = {"": "measured", "_unmeasured": "not measured", "_inferred": "inferred from motion"}
 _AHEAD = {"": "one step ahead", "_ahead": "at the end of the window"}
 
 
-def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
+def _print_summary(values: dict[str, Any], metrics: "OpenLoopMetrics") -> None:
+    from contactgraph.evaluate.metrics import json_key
+
+    texts = {**_TEXTS, **{name: name for name in metrics.predictions if name not in _TEXTS}}
     contacts = {
         beliefs: text
         for beliefs, text in _CONTACTS.items()
         if beliefs != "_inferred" or values["infer_contacts"]
     }
 
-    def centimetres(prediction: tuple[str, str], chosen: str) -> str:
-        name, beliefs = prediction
-        value = values[f"{name}_rmse{chosen}{beliefs}_m"]
-        return f"{'unknown' if value is None else f'{100 * value:.3f} cm':>16}"
+    def centimetres(value: float | None) -> str:
+        return "unknown" if value is None else f"{100 * value:.3f} cm"
 
     def score(name: str) -> str:
         value = values[name]
@@ -223,13 +233,13 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
         )
     title = f"error over {values['n_steps']} steps"
     print(f"{title:<23}{'bodies that move':>16}  {'all bodies':>16}")
-    for text, prediction in _PREDICTIONS.items():
-        if any(values[f"{prediction[0]}_rmse{c}{prediction[1]}_m"] is not None for c in _BODIES):
-            columns = "  ".join(centimetres(prediction, chosen) for chosen in _BODIES)
-            print(f"{text:<23}{columns}")
+    for name, text in texts.items():
+        found = [values[json_key(name, f"n_step_rmse{bodies}_m")] for bodies in ("_moving", "")]
+        if found != [None, None]:
+            print(f"{text:<23}{'  '.join(f'{centimetres(each):>16}' for each in found)}")
     print(f"verdict: {values['verdict'] or 'none, since nothing moves'}")
-    if unbeaten:
-        worse = ", ".join(text for text, (name, _) in _PREDICTIONS.items() if name in unbeaten)
+    if metrics.unbeaten:
+        worse = ", ".join(text for name, text in texts.items() if name in metrics.unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
     for beliefs, text in contacts.items():
         keys = [f"n_step_{each}_moving{beliefs}_m" for each in ("rmse_interval", "mean")]
@@ -239,7 +249,7 @@ def _print_summary(values: dict[str, Any], unbeaten: tuple[str, ...]) -> None:
                 f"bodies that move, contacts {text}: {low} to {high} cm in 95 % of resampled "
                 f"episodes; mean of the windows' errors {100 * values[keys[1]]:.3f} cm"
             )
-    print(f"where a contact changes, all bodies: {centimetres(('n_step', ''), '_contact').strip()}")
+    print(f"where a contact changes, all bodies: {centimetres(values['n_step_rmse_contact_m'])}")
     if (angle := values["angle_rmse_rad"]) is not None:
         constant = values["constant_velocity_angle_rmse_rad"]
         print(f"angles of bodies that turn: {angle:.3f} rad; constant velocity {constant:.3f}")
