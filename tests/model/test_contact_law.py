@@ -105,8 +105,16 @@ def test_the_ground_slows_what_touches_it_and_nothing_in_the_air() -> None:
 
 
 @eqx.filter_jit
-def lift(model: ContactDynamics, held: jax.Array, hand: jax.Array, target: jax.Array) -> jax.Array:
-    """[2, 2] m: hand and ball, 8 cm below it, after 10 steps towards the target."""
+def lift(
+    model: ContactDynamics,
+    held: jax.Array,
+    hand: jax.Array,
+    target: jax.Array,
+    velocity: float = 0.0,
+    steps: int = 10,
+) -> jax.Array:
+    """[2, 2] m: hand and ball, 8 cm below it, after the steps towards the target; both rise with
+    the ``velocity`` [m/s] at first."""
     nodes = scene_nodes(scene(("hand", "ball"), **TABLE))
     types = ContactBelief(jax.nn.one_hot(jnp.where(held, 2, 0), 3)[None])
 
@@ -115,7 +123,8 @@ def lift(model: ContactDynamics, held: jax.Array, hand: jax.Array, target: jax.A
         return model.linearize(model.cut_edges(graph, types))(*state, target), None
 
     first = jnp.stack([hand, hand - jnp.array([0.0, 0.08])])
-    return jax.lax.scan(step, (first, jnp.zeros((2, 2))), length=10)[0][0]
+    moving = jnp.zeros((2, 2)).at[:, 1].set(velocity)
+    return jax.lax.scan(step, (first, moving), length=steps)[0][0]
 
 
 def test_a_servo_hardly_sinks_under_what_it_holds() -> None:
@@ -123,6 +132,14 @@ def test_a_servo_hardly_sinks_under_what_it_holds() -> None:
     hand, ball = np.asarray(lift(on_rough_ground(), jnp.asarray(True), at, at))
     np.testing.assert_allclose(hand, at, atol=2e-3)
     np.testing.assert_allclose(ball, hand - [0.0, 0.08], atol=2e-3)
+
+
+def test_a_body_that_is_held_does_not_fall_onto_the_plane_that_it_meets() -> None:
+    """Its hand lowers it by 2 mm onto a plane: 5 mm in a step, if nothing were there."""
+    at = jnp.array([0.0, 0.132])
+    low = at - jnp.array([0.0, 0.1])
+    _, ball = np.asarray(lift(on_rough_ground(), jnp.asarray(True), at, low, -0.1, steps=1))
+    assert 0.048 < ball[1] < 0.052, "a free ball would be 12 mm further down"
 
 
 @pytest.mark.parametrize("held", [True, False])

@@ -174,6 +174,7 @@ class ContactLaw(BodyTypes):
             push=(mass * (nodes.actuated[:, None] * displaced + dt * falls))[..., None],
             speed=self.speed,
             pushed=not self.identified,
+            lifted=lifted,
             sliding=self._sliding(bodies),
         )
         if self.identified:

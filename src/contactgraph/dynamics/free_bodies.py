@@ -36,8 +36,15 @@ class FreeBodies(eqx.Module):
     """Unit of speeds, m/s."""
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
+    lifted: Float[Array, " N"] | float = 0.0
+    """Share of its weight that a hand bears, which holds it also where nothing else does."""
     sliding: Sliding | None = None
     """None: each body slides as an ellipsoid of its inertia."""
+
+    @property
+    def falling(self) -> Float[Array, "N G 1"]:
+        """N; the weight that moves bodies until a contact bears it."""
+        return (1.0 - jnp.reshape(self.lifted, (-1, 1, 1))) * self.weight
 
     @property
     def slow(self) -> float:
