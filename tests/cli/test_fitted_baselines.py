@@ -73,7 +73,11 @@ def test_another_horizon(fresh: Path, interrupted: Callable) -> None:
 
 
 def test_a_prediction_of_ones_own_stands_beside_the_others(
-    fresh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mistake: Callable
+    fresh: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    mistake: Callable,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path, module = tmp_path / "out.json", "contactgraph.evaluate.baselines"
     command = ["evaluate", "pickup", str(fresh), "--ignore-motion", "--prediction"]
@@ -86,3 +90,7 @@ def test_a_prediction_of_ones_own_stands_beside_the_others(
     assert f"{100 * error:.3f} cm" in line
     said = mistake(*command, f"{module}:standing_still")
     assert said.startswith("predictions must have new names, found 'standing_still'")
+    monkeypatch.chdir(tmp_path)
+    Path("network_of_mine.py").write_text("def gnn(trajectory, steps):\n    return None\n")
+    said = mistake(*command, "network_of_mine:gnn")
+    assert said.startswith("predictions must have new names, found 'gnn'")

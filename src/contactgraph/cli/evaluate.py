@@ -80,7 +80,7 @@ class Evaluate:
         )
         from contactgraph.cli.options import check_range, own_functions, sensor_fault
         from contactgraph.cli.output import check_writable, write_json
-        from contactgraph.data import read_trajectories, with_edge_labels
+        from contactgraph.data import InvalidInputError, read_trajectories, with_edge_labels
         from contactgraph.evaluate import (
             evaluate_open_loop,
             forced_windows,
@@ -88,7 +88,7 @@ class Evaluate:
             rollout_growth,
         )
         from contactgraph.evaluate.forced import recorded_task
-        from contactgraph.evaluate.metrics import json_key
+        from contactgraph.evaluate.metrics import BASELINES, json_key
         from contactgraph.evaluate.statistics import finite_or_none
         from contactgraph.model.io import describe_model
 
@@ -96,6 +96,8 @@ class Evaluate:
         faults = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, seed=0)
         own_metrics = own_functions("--metric", self.metric)
         predictions = own_functions("--prediction", self.prediction)
+        if taken := sorted(predictions.keys() & set(BASELINES)):
+            raise InvalidInputError(f"predictions must have new names, found {taken[0]!r}")
         if self.growth_steps is not None:
             check_range("--growth-steps", self.growth_steps, 1, 100_000)
         check_range("--forced-every", self.forced_every, 1, 100_000)

@@ -128,11 +128,10 @@ class Contacts(eqx.Module):
         [kg, times dt], and a ``rebound`` [m/s] that displaces, and that changes velocities."""
         mass, count = bodies.mass, len(bodies.mass)
         slowing = self._impulse(rows, count, dt) + (ground * bodies.velocity)[..., None]
-        borne = bodies.weight - bodies.falling
-        displacing = -self._left(self.until_impact, bodies.push - dt * borne, rows, mass)
+        displacing = -self._left(self.until_impact, bodies.push - dt * bodies.borne, rows, mass)
         displacing += _pulled(self.displacing_fraction * self.damper, rows, count)
         driven = jnp.concatenate([bodies.weight, bodies.driving], axis=-1)
-        unhindered = jnp.concatenate([bodies.falling, bodies.driving], axis=-1)
+        unhindered = jnp.concatenate([bodies.weight - bodies.borne, bodies.driving], axis=-1)
         driven += self._left(1.0 - self.acting, unhindered, rows, mass)
         matrix = MassMatrix(mass + ground, self.damper + self.spring, rows)
         right = jnp.concatenate([slowing, displacing, driven], axis=-1)

@@ -37,14 +37,14 @@ class FreeBodies(eqx.Module):
     pushed: bool = eqx.field(static=True, default=False)
     """Whether friction counts that the ground slows bodies that are pushed along it."""
     lifted: Float[Array, " N"] | float = 0.0
-    """Share of its weight that a hand bears, which holds it also where nothing else does."""
+    """Share of its weight that a hand bears."""
     sliding: Sliding | None = None
     """None: each body slides as an ellipsoid of its inertia."""
 
     @property
-    def falling(self) -> Float[Array, "N G 1"]:
-        """N; the weight that moves bodies until a contact bears it."""
-        return (1.0 - jnp.reshape(self.lifted, (-1, 1, 1))) * self.weight
+    def borne(self) -> Float[Array, "N G 1"]:
+        """N; the weight that no other contact has to bear, and that makes nothing fall."""
+        return jnp.reshape(self.lifted, (-1, 1, 1)) * self.weight
 
     @property
     def slow(self) -> float:
