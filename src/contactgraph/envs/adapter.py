@@ -19,8 +19,8 @@ from contactgraph.interchange.measurements import MappedEpisode, map_scene
 from contactgraph.interchange.recording import Column, Episode
 from contactgraph.interchange.scene_map import SceneMap, read_map
 
-ContactReader = Callable[[gymnasium.Env[Any, Any]], np.ndarray]
-"""Which bodies touched in the last step, ``[N, N]`` bool, as the environment's simulator says."""
+ContactReader = Callable[[Any], np.ndarray]
+"""Of an environment: which bodies touched in the last step, ``[N, N]`` bool, by its simulator."""
 
 _LARGEST = 1e6
 """Bound of the observation space, m, m/s: `check_env` warns about infinite bounds."""
@@ -35,11 +35,9 @@ class WatchedContact(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     touched = False
 
-
-def watched_contact(environment: gymnasium.Env[Any, Any]) -> np.ndarray:
-    """[2, 2] bool: whether the bodies of a `WatchedContact` touched in the last step."""
-    assert isinstance(environment, WatchedContact)
-    return environment.touched * ~np.eye(2, dtype=bool)
+    def contact(self) -> np.ndarray:
+        """[2, 2] bool: whether the bodies touched in the last step."""
+        return self.touched * ~np.eye(2, dtype=bool)
 
 
 class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
@@ -93,18 +91,20 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         if packages:
             versions = (f"{package} {version(package)}" for package in packages)
             self._scene_metadata["simulator"] = ", ".join(versions)
+        bodies = self.map.bodies
+        turning = [body.orientation is not None or body.keypoints is not None for body in bodies]
         box = self._action_box()
         self._entries, self._scale, self._offset = self._controlled(box)
-        self._check()
+        self._check(turning)
         self._rest = np.full(box.shape, rest)
         ends = np.stack([box.low[self._entries], box.high[self._entries]])
         ends = self._scale * ends + self._offset
         self.action_space = gymnasium.spaces.Box(
             ends.min(axis=0), ends.max(axis=0), dtype=np.float64
         )
-        size, turning = (len(self.map.bodies), self.map.dimension), (_LARGEST, _LARGEST)
+        most = (_LARGEST, _LARGEST)
         self.observation_space = observation_space(
-            *size, _LARGEST, _LARGEST, _LARGEST, turning if self.turns else None
+            len(turning), self.map.dimension, _LARGEST, *most, most if any(turning) else None
         )
         self._scene: Scene | None = None
         self._state: State = {}
@@ -132,7 +132,8 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             start = partial(self.environment.reset, options=options)
             mapped = self.mapped(raw)
             self._state = state_after(mapped, None)
-            if self._inside() and not self._contact()[self._actuated()].any():
+            actuated = [body.actuated for body in self.map.bodies]
+            if self._inside() and not self._contact()[actuated].any():
                 scene = map_scene(mapped, self._widths)
                 self._scene = replace(scene, metadata={**self._scene_metadata, "seed": scene_seed})
                 return self._observation(), {}
@@ -189,11 +190,6 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         """Closes the environment."""
         self.environment.close()
 
-    @property
-    def turns(self) -> bool:
-        """Whether the bodies' orientations are known."""
-        return any(body.orientation or body.keypoints is not None for body in self.map.bodies)
-
     def _guarded(self, seed: int, call: Callable[[], Any]) -> Any:
         """Calls the environment; an error of its own becomes one line that names the step."""
         try:
@@ -207,11 +203,9 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
 
     def mapped(self, raw: Any) -> MappedEpisode:
         """An observation as a recording of one row."""
-        arrays = (
-            {f"observations/{key}": value for key, value in raw.items()}
-            if (isinstance(raw, dict))
-            else dict.fromkeys(_ARRAY, raw)
-        )
+        arrays = dict.fromkeys(_ARRAY, raw)
+        if isinstance(raw, dict):
+            arrays = {f"observations/{key}": value for key, value in raw.items()}
         columns = {
             name: Column(np.asarray(value, dtype=np.float64).reshape(1, -1))
             for name, value in arrays.items()
@@ -224,9 +218,6 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
         box, action = self._action_box(), self._rest.copy()
         action[self._entries] = (control - self._offset) / self._scale
         return np.clip(action, box.low, box.high).astype(box.dtype)
-
-    def _actuated(self) -> list[bool]:
-        return [body.actuated for body in self.map.bodies]
 
     def _inside(self) -> bool:
         return all(
@@ -278,7 +269,7 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             self._fail("the scale of a control must not be 0")
         return entries, scale, offset
 
-    def _check(self) -> None:
+    def _check(self, turning: list[bool]) -> None:
         """Raises `InvalidInputError` where map, cost and environment do not fit."""
         bodies = self.map.bodies
         if self.map.dt is None or self.map.goal is None:
@@ -291,8 +282,8 @@ class AdaptedTask(gymnasium.Env[dict[str, Any], np.ndarray]):
             self._fail(
                 f"cost.chain must name bodies 0 to {len(bodies) - 1}, found {self._cost.chain}"
             )
-        for body in bodies:
-            if self.turns and body.orientation is None and body.keypoints is None:
+        for body, turns in zip(bodies, turning, strict=True):
+            if any(turning) and not turns:
                 self._fail(f"{body.name}: orientation must be known, as another body's is")
             if self._contact_reader is None and "radius" not in body.constants:
                 self._fail(f"{body.name} needs a radius, or the task a contact function")

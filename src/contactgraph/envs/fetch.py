@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 
 from contactgraph.data import InvalidInputError
-from contactgraph.envs.adapter import AdaptedTask, WatchedContact, watched_contact
+from contactgraph.envs.adapter import AdaptedTask, WatchedContact
 from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.push_and_pick import PickPolicy, PushPolicy, PushStyle, RandomPushes
 from contactgraph.interchange import read_map
@@ -126,7 +126,7 @@ class FetchTask(AdaptedTask):
             ),
             max_steps=50,
             success_key="is_success",
-            contact=watched_contact,
+            contact=WatchedContact.contact,
             packages=("gymnasium-robotics", "mujoco"),
             scene_metadata={"environment": self.environment_name},
         )

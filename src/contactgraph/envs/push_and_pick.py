@@ -57,10 +57,6 @@ class PushPolicy:
     def __init__(self, style: PushStyle, noise: float = 0.0, variety: float = 0.0) -> None:
         self._style, self._variety = style, variety
         self._noise = CorrelatedNoise(noise, correlation_steps=3.0)
-        self._hand = self._object = 0
-        self._drawn, self._aside = style, 0.0
-        self._pushing, self._absolute = False, True
-        self._level: float | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where nothing can be pushed."""
@@ -79,7 +75,8 @@ class PushPolicy:
         self._drawn = replace(self._style, speed=speed)
         self._aside = self._variety * beside * self._style.clearance / 2.0
         self._noise.reset(scene.dimension, seed)
-        self._pushing, self._level = False, None
+        self._pushing = False
+        self._level: float | None = None
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[D]`` m."""
@@ -130,25 +127,22 @@ class PushPolicy:
         return velocity * (style.speed / max(style.speed, float(np.linalg.norm(velocity))))
 
 
-class RandomPushes:
+class RandomPushes(PushPolicy):
     """Explores: pushes the object in random directions, each for a random time.
 
     ``noise`` m is as for `PushPolicy`; ``seconds`` s is the mean time of a direction.
     """
 
     def __init__(self, style: PushStyle, noise: float = 0.0, seconds: float = 3.0) -> None:
-        self._push = PushPolicy(style, noise, variety=0.7)
+        super().__init__(style, noise, variety=0.7)
         self._seconds = seconds
-        self._rng = np.random.default_rng(0)
-        self._chance, self._object = 0.0, 0
-        self._direction: np.ndarray | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises as `PushPolicy`."""
-        self._push.reset(scene, seed)
+        super().reset(scene, seed)
         self._rng = np.random.default_rng([seed, 1])
-        self._object = int(scene.actuated.argmin())
-        self._chance, self._direction = scene.dt / self._seconds, None
+        self._chance = scene.dt / self._seconds
+        self._direction: np.ndarray | None = None
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[D]`` m."""
@@ -157,7 +151,7 @@ class RandomPushes:
             angle = self._rng.uniform(0.0, 2.0 * np.pi)
             self._direction = np.zeros(position.shape[1])
             self._direction[:2] = np.cos(angle), np.sin(angle)
-        return self._push.towards(position, position[self._object] + self._direction)
+        return self.towards(position, position[self._object] + self._direction)
 
 
 _ABOVE = 0.08
@@ -184,8 +178,6 @@ class PickPolicy:
     def __init__(self, speed: float, lead: float, noise: float = 0.0, variety: float = 0.0) -> None:
         self._speed, self._lead, self._variety = speed, lead, variety
         self._noise = CorrelatedNoise(noise, correlation_steps=3.0)
-        self._drawn, self._dt = speed, 1.0
-        self._closing_s: float | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where nothing can be grasped."""
@@ -198,7 +190,7 @@ class PickPolicy:
         share = np.random.default_rng(seed).uniform(0.0, 1.0)
         self._drawn, self._dt = (1.0 - self._variety * share) * self._speed, scene.dt
         self._noise.reset(3, seed)
-        self._closing_s = None
+        self._closing_s: float | None = None
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[4]``: m, m, m, and the fingers' command."""
