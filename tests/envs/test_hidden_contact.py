@@ -19,8 +19,8 @@ from contactgraph.envs import (
     SuctionExpert,
     SuctionTask,
 )
+from contactgraph.envs.carry_expert import GripperForces, unit
 from contactgraph.envs.episodes import collect, run_episode
-from contactgraph.envs.gripper_motion import GripperForces, unit
 from contactgraph.envs.gripper_task import GRIPPER
 from contactgraph.envs.pickup_layout import distance_to_path
 from contactgraph.interchange import pull_warning, pulls

@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import DT, MASS, GripperTask
-from contactgraph.envs.pickup import (
-    CONTROL_WEIGHT,
-    GOAL_WEIGHTS,
-    PICK_WEIGHTS,
-    PickupExpert,
-)
+from contactgraph.envs.pickup import PickupExpert
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.shaped_tasks import box_outline
@@ -43,6 +37,7 @@ class ChainTask(GripperTask):
 
     name = "chain"
     expert = PickupExpert
+    chain = (2,)
     observes_holding = observes_turning = True
 
     def __init__(self, engine: str | None = None) -> None:
@@ -79,7 +74,3 @@ class ChainTask(GripperTask):
             metadata={"damping": LINK_DAMPING},
         )
         return scene, world
-
-    def cost_terms(self) -> ChainCost:
-        """The last link to the goal, with the weights of the pickup."""
-        return ChainCost((2,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)

@@ -1,12 +1,12 @@
 """The door task, in which a gripper opens a hinged door, and the sampling of its scenes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Conditions, Observation
-from contactgraph.envs.exploration import CorrelatedNoise
+from contactgraph.envs.exploration import NoisyPolicy
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
@@ -16,6 +16,7 @@ from contactgraph.envs.gripper_task import (
     check_count,
     fixed_layout,
 )
+from contactgraph.envs.pickup import HOLDING_DAMPING, STIFFNESS, pd_force
 from contactgraph.envs.planar.body import PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
 
@@ -137,32 +138,18 @@ DOOR_MASS = 4.0
 GRIPPER_RADIUS = 0.04
 """m."""
 MAX_DISTRACTORS = 10
-
-
-DOOR_STIFFNESS = 5.0
-"""Kp, N/m towards the door; while turning N m/rad per kg m^2."""
-DOOR_FREE_DAMPING = 1.0 * np.sqrt(DOOR_STIFFNESS)
-"""Along the direction to the door, N s/m."""
-ACROSS_DAMPING = 4.0 * np.sqrt(DOOR_STIFFNESS)
-"""Across the direction to the door, N s/m."""
-TURN_DAMPING = 2.0 * np.sqrt(DOOR_STIFFNESS)
+TURN_DAMPING = 2.0 * np.sqrt(STIFFNESS)
 """N m s/rad per kg m^2: critical. The paper's 4 sqrt(Kp) would be too slow."""
 _LEAST_RADIUS = 0.1
 """m; the least assumed distance of the gripper to the hinge, which bounds the force."""
 
 
-class DoorExpert:
+class DoorExpert(NoisyPolicy):
     """Strikes the door at its middle, at speed, and turns it to the goal: two PD controllers.
 
-    On the turn the torque is proportional to the moment of inertia of door and gripper about the
-    hinge, so that every door takes the same time. ``noise`` N is the standard deviation of the
-    force that is added on each axis, correlated over ``correlation_steps`` steps.
+    Their stiffness is that of the pickups. On the turn the torque is proportional to the moment of
+    inertia of door and gripper about the hinge, so that every door takes the same time.
     """
-
-    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
-        self._noise = CorrelatedNoise(noise, correlation_steps)
-        self._hinge = np.zeros(2)
-        self._mass = np.zeros(2)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` has no door."""
@@ -173,19 +160,14 @@ class DoorExpert:
                 f"{list(scene.node_name)} and anchor {scene.anchor.tolist()}"
             )
         self._hinge, self._mass = scene.anchor[DOOR], scene.mass[[GRIPPER, DOOR]]
-        self._noise.reset(scene.dimension, seed)
+        super().reset(scene, seed)
 
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """The control ``[2]`` N."""
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[2]`` N, without the noise."""
         position, velocity = observation["position"], observation["velocity"]
         if observation["contact"][GRIPPER, DOOR]:
-            force = self._turn(position, velocity, observation["goal"])
-        else:
-            offset = position[DOOR] - position[GRIPPER]
-            along = offset * (offset @ velocity[GRIPPER]) / (offset @ offset)
-            across = velocity[GRIPPER] - along
-            force = DOOR_STIFFNESS * offset - DOOR_FREE_DAMPING * along - ACROSS_DAMPING * across
-        return force + self._noise()
+            return self._turn(position, velocity, observation["goal"])
+        return pd_force(position[DOOR] - position[GRIPPER], velocity[GRIPPER], HOLDING_DAMPING)
 
     def _turn(self, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """[2] N perpendicular to the gripper's radius vector."""
@@ -196,7 +178,7 @@ class DoorExpert:
         left = np.array([-bar[1], bar[0]])
         missing = np.arctan2(left @ aim, bar @ aim)
         rate = (left @ velocity[DOOR]) / (bar @ bar)
-        torque = inertia * (DOOR_STIFFNESS * missing - TURN_DAMPING * rate)
+        torque = inertia * (STIFFNESS * missing - TURN_DAMPING * rate)
         radius = float(np.linalg.norm(radius_vector))
         across = np.array([-radius_vector[1], radius_vector[0]])
         return torque / max(radius, _LEAST_RADIUS) * across / radius
@@ -275,9 +257,4 @@ class DoorTask(GripperTask):
 
         The paper's own, 1 and 2, leave the door 3 to 25 cm from its goal at the end.
         """
-        return ChainCost(
-            chain=(GRIPPER, DOOR),
-            pick_weights=np.array([6.5, 6.5, 0.2, 0.2]),
-            goal_weights=np.array([50.0, 50.0, 1.0, 1.0]),
-            control_weight=0.01,
-        )
+        return replace(super().cost_terms(), pick_weights=np.array([6.5, 6.5, 0.2, 0.2]))

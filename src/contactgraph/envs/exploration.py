@@ -1,4 +1,4 @@
-"""Policies that any task may be recorded by: exploration by random forces, and rest."""
+"""Random forces: the noise of scripted policies, and exploration of any task; and rest."""
 
 import numpy as np
 
@@ -37,6 +37,30 @@ class CorrelatedNoise:
         return value
 
 
+class NoisyPolicy:
+    """A scripted policy that drives by forces; a subclass defines `_force`, or its own call.
+
+    ``noise`` N is the standard deviation of a force added on each axis, correlated over two steps.
+    Without it every force would be a function of the state, and mass could not be distinguished
+    from drag.
+    """
+
+    def __init__(self, noise: float = 0.5) -> None:
+        self._noise = CorrelatedNoise(noise, correlation_steps=2.0)
+
+    def reset(self, scene: Scene, seed: int) -> None:
+        """Prepares for an episode."""
+        self._noise.reset(scene.dimension, seed)
+
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[D]`` N, without the noise."""
+        raise NotImplementedError
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The control ``[U]`` N."""
+        return self._force(observation) + self._noise()
+
+
 class ExplorationPolicy:
     """Random forces that keep the gripper in the scene; it sometimes collides.
 
@@ -55,13 +79,11 @@ class ExplorationPolicy:
     ) -> None:
         self._noise = CorrelatedNoise(deviation, correlation_steps)
         self._stiffness, self._damping = stiffness, damping
-        self._actuated = 0
-        self._home: np.ndarray | None = None
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
         self._actuated = int(np.argmax(scene.actuated))
-        self._home = None
+        self._home: np.ndarray | None = None
         self._noise.reset(scene.dimension, seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -77,16 +99,12 @@ class ExplorationPolicy:
 class RestPolicy:
     """Does nothing: zero force, or the target where the actuated body is."""
 
-    def __init__(self) -> None:
-        self._scene: Scene | None = None
-
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
         self._scene = scene
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """Zeros ``[U]``, but for targets in the world: there the position of their node, m."""
-        assert self._scene is not None, "call reset() first"
         kinds, acts = self._scene.control_kind, self._scene.control_of
         if kinds is None:
             return np.zeros(self._scene.dimension)

@@ -18,6 +18,9 @@ MASS = 1.0
 """Of the gripper, kg."""
 MAX_FORCE = 10.0
 """Bound of the control on each axis, N."""
+PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
+GOAL_WEIGHTS = np.array([50.0, 50.0, 1.0, 1.0])
+CONTROL_WEIGHT = 0.01
 _MOST_TURN = 1e3
 """rad, rad/s: bound of an observed angle and rate."""
 
@@ -54,7 +57,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     each axis; ``mass`` kg is the gripper's. ``fixed_seed`` is that of the `fixed_layout` of a
     subclass.
 
-    A subclass defines the start of an episode, its cost, and what more a success demands.
+    A subclass defines the start of an episode and, where they differ, its cost and its success.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
@@ -64,6 +67,8 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
     """Bound of the control on each axis, N. None: a subclass has another bound."""
     passive = False
     """Whether nothing is driven, and the control is empty."""
+    chain: tuple[int, ...] = (GRIPPER, 1)
+    """Nodes that the cost ties together, the last of them to the goal: see `ChainCost`."""
     goal_radius = 0.1
     """The last node of the cost's chain must end within this distance of the goal, m."""
     observes_holding = False
@@ -108,23 +113,24 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         Its metadata gain the task's name, the world's, and the seeds that reproduce it.
         """
 
-    @abstractmethod
     def cost_terms(self) -> ChainCost:
-        """The task as a cost."""
+        """The task as a cost: along the `chain`, with the weights of the paper's pickups."""
+        return ChainCost(self.chain, PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
 
     @property
     def scene(self) -> Scene:
         """The current episode's scene; its ``metadata["seed"]`` samples it again."""
-        if self._episode is None:
-            raise gymnasium.error.ResetNeeded("call reset() first")
-        return self._episode[0]
+        return self._begun()[0]
 
     @property
     def world(self) -> World:
         """The current episode's world."""
+        return self._begun()[1]
+
+    def _begun(self) -> tuple[Scene, World]:
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset() first")
-        return self._episode[1]
+        return self._episode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -142,8 +148,7 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
 
     def observed(self) -> Observation:
         """The observation of the present state."""
-        assert self._episode is not None
-        scene, world = self._episode
+        scene, world = self._begun()
         observation = {
             "position": world.position,
             "velocity": world.velocity,
@@ -199,7 +204,6 @@ class GripperTask(gymnasium.Env[dict[str, Any], np.ndarray], ABC):
         self, info: dict[str, Any]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The return value of `step` once the world has advanced; ``info`` is added to it."""
-        assert self._episode is not None
         self._steps += 1
         observation = self.observed()
         position, goal = observation["position"], observation["goal"]

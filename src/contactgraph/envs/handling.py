@@ -3,9 +3,9 @@
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
+from contactgraph.envs.carry_expert import approach_velocity, limited, unit
 from contactgraph.envs.contract import Observation
-from contactgraph.envs.exploration import CorrelatedNoise
-from contactgraph.envs.gripper_motion import approach_velocity, limited, unit
+from contactgraph.envs.exploration import NoisyPolicy
 from contactgraph.envs.gripper_task import GRIPPER, MAX_FORCE
 from contactgraph.envs.pickup import held
 from contactgraph.envs.pickup_layout import HALF_WIDTH
@@ -28,7 +28,7 @@ _DURATION = {
 """Shortest and longest time of an action, s."""
 
 
-class HandlingPolicy:
+class HandlingPolicy(NoisyPolicy):
     """Goes to a body, presses it on, pulls back, moves it about, leaves it, and goes to the next.
 
     It looks at positions and contacts, not at holding. A body is approached from the side from
@@ -42,12 +42,7 @@ class HandlingPolicy:
     """
 
     def __init__(self) -> None:
-        self._noise = CorrelatedNoise(0.1, correlation_steps=2.0)
-        self._rng = np.random.default_rng(0)
-        self._dt, self._has_switch = 0.0, False
-        self._action, self._left, self._due = "leave", 0.0, 0
-        self._body, self._aim, self._strength = 0, np.zeros(2), 0.0
-        self._switch, self._tearing = 0.0, 0.0
+        super().__init__(noise=0.1)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where there is nothing to handle."""
@@ -56,18 +51,15 @@ class HandlingPolicy:
                 f"handling needs an actuated node 0 and a body, found nodes {list(scene.node_name)}"
             )
         self._rng = np.random.default_rng(seed)
-        self._noise.reset(scene.dimension, int(self._rng.integers(2**31)))
+        super().reset(scene, int(self._rng.integers(2**31)))
         self._dt = scene.dt
         self._has_switch = "switch" in (scene.control_kind or ())
         self._action, self._left, self._body, self._switch = "leave", 0.0, 1, 0.0
+        self._aim, self._strength, self._due, self._tearing = np.zeros(2), 0.0, 0, 0.0
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N, or ``[3]`` with the switch."""
-        touching = held(observation["contact"])
-        self._left -= self._dt
-        self._choose_action(observation, touching)
-        mass = 1 + len(touching)
-        force = self._force(observation["position"], observation["velocity"], mass) + self._noise()
+        force = super().__call__(observation)
         if not self._has_switch:
             return force
         handles = self._action not in ("approach", "leave")
@@ -119,8 +111,13 @@ class HandlingPolicy:
         self._action, self._left = "approach", _PATIENCE
         self._body, self._aim, self._strength = body, aim, float(self._rng.uniform())
 
-    def _force(self, position: np.ndarray, velocity: np.ndarray, mass: int) -> np.ndarray:
-        """[2] N of the present action, for the gripper and ``mass - 1`` bodies that touch it."""
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[2]`` N of the present action, without the noise."""
+        touching = held(observation["contact"])
+        self._left -= self._dt
+        self._choose_action(observation, touching)
+        position, velocity = observation["position"], observation["velocity"]
+        mass = 1 + len(touching)
         gripper, body = position[GRIPPER], position[self._body]
         normal = unit(body - gripper)
         own, relative = velocity[GRIPPER], velocity[GRIPPER] - velocity[self._body]

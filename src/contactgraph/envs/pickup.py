@@ -1,12 +1,10 @@
 """Tasks in which a gripper carries discs: their base, and the paper's two pickups."""
 
-from abc import abstractmethod
-
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene, joined
-from contactgraph.envs.contract import ChainCost, Conditions, Observation
-from contactgraph.envs.exploration import CorrelatedNoise
+from contactgraph.envs.contract import Conditions, Observation
+from contactgraph.envs.exploration import NoisyPolicy
 from contactgraph.envs.grip import HoldAtTouch
 from contactgraph.envs.gripper_task import (
     DT,
@@ -25,9 +23,6 @@ MAX_DISTRACTORS = 20
 MAX_OBJECTS = 5
 MAX_RADIUS = 0.06
 """Largest radius of a body, m: larger bodies would overlap in dense scenes."""
-PICK_WEIGHTS = np.array([3.0, 3.0, 0.2, 0.2])
-GOAL_WEIGHTS = np.array([50.0, 50.0, 1.0, 1.0])
-CONTROL_WEIGHT = 0.01
 
 Metadata = dict[str, str | int | float | bool]
 
@@ -48,6 +43,15 @@ GOAL_DAMPING = 4.0 * np.sqrt(STIFFNESS)
 """Towards the goal with one target, and across the direction to a target, N s/m."""
 
 
+def pd_force(offset: np.ndarray, velocity: np.ndarray, damping: float) -> np.ndarray:
+    """``[2]`` N of a PD controller towards a point at ``offset`` ``[2]`` m, at ``velocity`` m/s.
+
+    ``damping`` N s/m is that along the way; across it, it is `GOAL_DAMPING`.
+    """
+    along = offset * (offset @ velocity) / (offset @ offset)
+    return STIFFNESS * offset - damping * along - GOAL_DAMPING * (velocity - along)
+
+
 def carried_targets(scene: Scene) -> list[int]:
     """The nodes named target...; raises `InvalidInputError` where nothing is to be carried."""
     targets = [i for i, name in enumerate(scene.node_name) if name.startswith("target")]
@@ -59,7 +63,7 @@ def carried_targets(scene: Scene) -> list[int]:
     return targets
 
 
-class PickupExpert:
+class PickupExpert(NoisyPolicy):
     """Picks up the targets without stopping: a PD controller with the paper's gains.
 
     Motion towards the next target is lightly damped, so that the gripper meets it at speed and
@@ -69,39 +73,26 @@ class PickupExpert:
 
     Gains grow with the grasped mass, within the control's bounds, so that five targets and the goal
     fit into one episode.
-
-    ``noise`` N is the standard deviation of a force added on each axis, correlated over
-    ``correlation_steps`` steps. Without it every force would be a function of the state, and mass
-    could not be distinguished from drag.
     """
-
-    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
-        self._noise = CorrelatedNoise(noise, correlation_steps)
-        self._targets: list[int] = []
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no pickup."""
         self._targets = carried_targets(scene)
-        self._noise.reset(scene.dimension, seed)
+        super().reset(scene, seed)
 
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """The control ``[2]`` N."""
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[2]`` N, without the noise."""
         position, velocity = observation["position"], observation["velocity"][GRIPPER]
         grasped = held(observation["contact"])
         due = [target for target in self._targets if target not in grasped]
         if due:
-            offset = position[due[0]] - position[GRIPPER]
-            along = offset * (offset @ velocity) / (offset @ offset)
-            across = velocity - along
             damping = HOLDING_DAMPING if grasped else FREE_DAMPING
-            force = STIFFNESS * offset - damping * along - GOAL_DAMPING * across
-            force = (1 + len(grasped)) * force
-        else:
-            # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
-            offset = observation["goal"] - position[self._targets[-1]]
-            force = len(grasped) * STIFFNESS * offset
-            force = force - np.sqrt(len(grasped)) * GOAL_DAMPING * velocity
-        return force + self._noise()
+            force = pd_force(position[due[0]] - position[GRIPPER], velocity, damping)
+            return (1 + len(grasped)) * force
+        # The damping is 4 sqrt(Kp) for any Kp: with five held it nears the critical one.
+        offset = observation["goal"] - position[self._targets[-1]]
+        force = len(grasped) * STIFFNESS * offset
+        return np.asarray(force - np.sqrt(len(grasped)) * GOAL_DAMPING * velocity)
 
 
 class CarryTask(GripperTask):
@@ -114,8 +105,7 @@ class CarryTask(GripperTask):
     each episode has its own. ``radius`` m is every body's; ``in_the_way``: a straight way touches
     two distractors or more. ``engine``: see `PlanarWorld`.
 
-    A subclass defines the rule. Raises `InvalidInputError` for
-    numbers out of range.
+    A subclass may define another rule. Raises `InvalidInputError` for numbers out of range.
     """
 
     steps = 200
@@ -124,6 +114,10 @@ class CarryTask(GripperTask):
     """Number of targets."""
     any_order = False
     """Whether any target may be carried first: see `sample_layout`."""
+    types = ("gripper", "object")
+    """Node types of the gripper, whose name it is, too, and of all others."""
+    control_kind: tuple[str, ...] | None = None
+    """Of a scene. None: a force."""
 
     def __init__(
         self,
@@ -150,9 +144,12 @@ class CarryTask(GripperTask):
             lambda rng: sample_layout(rng, targets, MAX_DISTRACTORS, any_order=self.any_order),
         )
 
-    @abstractmethod
     def hold_rule(self, seed: int) -> tuple[HoldRule | None, Metadata]:
-        """The rule of an episode, with all randomness from ``seed``, and metadata of the scene."""
+        """The rule of an episode, with all randomness from ``seed``, and metadata of the scene.
+
+        By default all that touch stick together.
+        """
+        return HoldAtTouch(), {}
 
     def body(self, place: np.ndarray, node: int, seed: int) -> PlanarBody:
         """The body of a node that starts at ``place`` ``[2]`` m."""
@@ -168,24 +165,25 @@ class CarryTask(GripperTask):
         rule, drawn = self.hold_rule(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
         bodies = [self.body(place, node, seed) for node, place in enumerate(layout.position)]
         world = PlanarWorld(bodies, DT, hold=rule, engine=self._engine)
-        in_the_way: Metadata = {"in_the_way": True} if self._in_the_way else {}
+        in_the_way = {"in_the_way": True} if self._in_the_way else {}
         targets = [f"target-{index}" for index in range(1, self.targets + 1)]
         distractors = [f"distractor-{index}" for index in range(self.distractors)]
         scene = Scene(
-            node_name=("gripper", *(targets if self.targets > 1 else ["target"]), *distractors),
-            node_type=("gripper", *["object"] * (len(bodies) - 1)),
+            node_name=(
+                self.types[0],
+                *(targets if self.targets > 1 else ["target"]),
+                *distractors,
+            ),
+            node_type=(self.types[0], *[self.types[1]] * (len(bodies) - 1)),
             actuated=np.arange(len(bodies)) == GRIPPER,
             dt=DT,
             goal=layout.goal,
             mass=np.array([body.mass for body in bodies]),
             radius=np.full(len(bodies), self._radius),
+            control_kind=self.control_kind,
             metadata={"distractors": self.distractors, **in_the_way, **drawn},
         )
         return scene, world
-
-    def cost_terms(self) -> ChainCost:
-        """The paper's weights: gripper to target, target to goal."""
-        return ChainCost((GRIPPER, TARGET), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
 
 
 class PickupTask(CarryTask):
@@ -205,10 +203,6 @@ class PickupTask(CarryTask):
         ("3 distractors", {"distractors": 3}),
         ("10 distractors", {"distractors": 10}),
     )
-
-    def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
-        """All that touch stick together."""
-        return HoldAtTouch(), {}
 
 
 class MultiPickupTask(CarryTask):
@@ -234,7 +228,7 @@ class MultiPickupTask(CarryTask):
         engine: str | None = None,
     ) -> None:
         check_count("objects", objects, 1, MAX_OBJECTS)
-        self.targets = objects
+        self.targets, self.chain = objects, tuple(range(GRIPPER, 1 + objects))
         super().__init__(distractors, fixed_seed, engine=engine)
 
     def hold_rule(self, seed: int) -> tuple[HoldRule, Metadata]:
@@ -245,8 +239,3 @@ class MultiPickupTask(CarryTask):
         """Whether every target is joined to the gripper and the last within 0.1 m of the goal."""
         every = set(range(1, self.targets + 1))
         return every <= held(contact) and super().solved(scene, position, contact)
-
-    def cost_terms(self) -> ChainCost:
-        """The paper's weights: gripper to first target, first to second, ..., last to goal."""
-        chain = tuple(range(GRIPPER, self.targets + 1))
-        return ChainCost(chain, PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)

@@ -101,7 +101,7 @@ def distance_to_paths(point: np.ndarray, stops: np.ndarray, beyond: float = OVER
 
     All paths continue straight for ``beyond`` m past their ends.
     """
-    return min(distance_to_path(point, start, end, beyond) for start, end in _paths(stops))
+    return min(distance_to_path(point, *path, beyond) for path in itertools.pairwise(stops))
 
 
 def _passable(stops: np.ndarray, any_order: bool) -> bool:
@@ -109,7 +109,7 @@ def _passable(stops: np.ndarray, any_order: bool) -> bool:
 
     With ``any_order`` each target is also clear of the paths to and from every other one.
     """
-    if min(_distance(start, end) for start, end in _paths(stops)) < REACH:
+    if min(itertools.starmap(_distance, itertools.pairwise(stops))) < REACH:
         return False
     goal = len(stops) - 1
     cleared = [(due, index, index + 1) for index in range(goal) for due in range(index + 2, goal)]
@@ -130,30 +130,23 @@ def _place_distractors(
     for point in _uniform(rng, _TRIES_PER_DISTRACTOR * count, extent(len(stops) - 2)):
         if len(placed) == count:
             break
-        free = all(_distance(point, other) >= 2 * RADIUS + CLEARANCE for other in placed)
+        if any(_distance(point, other) < 2 * RADIUS + CLEARANCE for other in placed):
+            continue
         if in_the_way:
-            free = free and all(_distance(point, stop) >= STANDING_ROOM for stop in stops)
+            free = all(_distance(point, stop) >= STANDING_ROOM for stop in stops)
         else:
-            free = free and distance_to_paths(point, stops) >= CORRIDOR
+            free = distance_to_paths(point, stops) >= CORRIDOR
         if free:
             placed.append(point)
-    if len(placed) < count or (in_the_way and _crossed(np.array(placed), stops) < IN_THE_WAY):
+    crossed = sum(distance_to_paths(each, stops, 0.0) < 2 * RADIUS for each in placed)
+    if len(placed) < count or (in_the_way and crossed < IN_THE_WAY):
         return None
     return np.reshape(placed, (count, 2))
-
-
-def _crossed(distractors: np.ndarray, stops: np.ndarray) -> int:
-    """Number of distractors that a body touches on its straight way from stop to stop."""
-    return sum(distance_to_paths(each, stops, 0.0) < 2 * RADIUS for each in distractors)
 
 
 def _uniform(rng: np.random.Generator, count: int, half_width: float) -> np.ndarray:
     inside = half_width - RADIUS
     return rng.uniform(-inside, inside, (count, 2))
-
-
-def _paths(stops: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(itertools.pairwise(stops))
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from contactgraph.data import InvalidInputError
 from contactgraph.envs.adapter import AdaptedTask, WatchedContact
 from contactgraph.envs.contract import ChainCost
-from contactgraph.envs.pickup import GOAL_WEIGHTS
+from contactgraph.envs.gripper_task import GOAL_WEIGHTS
 from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 TOLERANCE = 0.02

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import expm
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import GripperTask, check_count
 
 MAX_BODIES = 20
@@ -57,6 +56,7 @@ class SpringsTask(GripperTask):
     """
 
     name = "springs"
+    chain = (0,)  # to the middle: there is nothing to achieve
     passive = True
     max_force = None
 
@@ -83,8 +83,3 @@ class SpringsTask(GripperTask):
             metadata={"stiffness": SPRING_STIFFNESS, "spring_share": SPRING_SHARE},
         )
         return scene, SpringWorld(position, velocity, joined | joined.T, SPRING_DT)
-
-    def cost_terms(self) -> ChainCost:
-        """The first body to the middle: there is nothing to achieve."""
-        weights = np.array([50.0, 50.0, 1.0, 1.0])
-        return ChainCost((0,), pick_weights=weights, goal_weights=weights, control_weight=0.01)

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactgraph.data import Scene
-from contactgraph.envs.contract import ChainCost
 from contactgraph.envs.gripper_task import GripperTask
-from contactgraph.envs.pickup import CONTROL_WEIGHT, GOAL_WEIGHTS, PICK_WEIGHTS
 from contactgraph.envs.planar.body import PlanarBody
 
 if TYPE_CHECKING:
@@ -58,6 +56,7 @@ class VerticalTask(GripperTask):
         import contactgraph.envs.mujoco_world  # noqa: F401
 
         super().__init__(self.count, self.steps, 1.0, dt=DT)
+        self.chain = (self.count - 1,)
 
     @abstractmethod
     def boxes(self, rng: np.random.Generator) -> list[PlanarBody]:
@@ -87,10 +86,6 @@ class VerticalTask(GripperTask):
             metadata={"friction": boxes[0].friction, "contact_time": self.contact_time},
         )
         return scene, world
-
-    def cost_terms(self) -> ChainCost:
-        """The last box to the goal, with the weights of the pickup."""
-        return ChainCost((self.count - 1,), PICK_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT)
 
 
 class TossTask(VerticalTask):

@@ -7,12 +7,11 @@ import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Conditions, Observation
-from contactgraph.envs.exploration import CorrelatedNoise
-from contactgraph.envs.gripper_task import DT, GRIPPER, MASS, MAX_FORCE
-from contactgraph.envs.pickup import GOAL_WEIGHTS, TARGET, CarryTask, Metadata
+from contactgraph.envs.exploration import NoisyPolicy
+from contactgraph.envs.gripper_task import DT, GOAL_WEIGHTS, GRIPPER, MASS, MAX_FORCE
+from contactgraph.envs.pickup import TARGET, CarryTask, Metadata
 from contactgraph.envs.pickup_layout import HALF_WIDTH
 from contactgraph.envs.planar.body import PlanarBody
-from contactgraph.envs.planar.world import PlanarWorld
 from contactgraph.envs.push_and_pick import NEAR_WEIGHTS, PushPolicy, PushStyle, RandomPushes
 
 MASSES = (0.5, 2.0)
@@ -33,20 +32,18 @@ MOST_RESISTANCE = 4.0
 """Force of a pushed block that is made up for, at most, N."""
 
 
-class ForcedPush:
+class ForcedPush(NoisyPolicy):
     """Pushes by a force: a velocity controller under `PushPolicy`, or `RandomPushes`.
 
     It makes up for the resistance that the last step has shown, so that a heavy block is pushed at
     the wanted speed, too. ``variety`` is that of the pushes; ``random``: in random directions,
-    within the area of the start, for exploration. ``noise`` N is the standard deviation of a
-    force added on each axis, correlated over two steps.
+    within the area of the start, for exploration.
     """
 
     def __init__(self, noise: float = 0.5, variety: float = 0.3, random: bool = False) -> None:
+        super().__init__(noise)
         inside = replace(STYLE, reach=HALF_WIDTH * np.array([[-1.0, -1.0], [1.0, 1.0]]))
         self._push = RandomPushes(inside) if random else PushPolicy(STYLE, variety=variety)
-        self._noise = CorrelatedNoise(noise, 2.0)
-        self._force, self._velocity = np.zeros(2), np.zeros(2)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where no force pushes a block."""
@@ -56,7 +53,7 @@ class ForcedPush:
                 f"nodes {list(scene.node_name)} and {scene.control_kind}"
             )
         self._push.reset(replace(scene, control_kind=("displacement", "displacement")), seed)
-        self._noise.reset(scene.dimension, seed)
+        super().reset(scene, seed)
         self._force, self._velocity = np.zeros(2), np.zeros(2)
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -73,12 +70,11 @@ class UnknownMassTask(CarryTask):
     """A pusher moves a block of unknown mass to a goal.
 
     Nodes are the pusher (0), the target (1) and ``distractors`` further blocks. All are discs that
-    do not rotate. The pusher has 1 kg, and the control ``[2]`` N is a force on
-    it. A block has 0.5 to 2 kg, drawn for each block of each episode, evenly in their logarithm;
-    `Scene.mass` tells it, and nothing that is observed does. Blocks slide on a table with a
-    coefficient of 0.1, so that all of them slow down alike; between two bodies it is 0.3, and
-    impacts do not bounce. An episode runs for 200 steps, and succeeds if the target is within 2 cm
-    of the goal at its end.
+    do not rotate. The pusher has 1 kg, and the control ``[2]`` N is a force on it. A block has 0.5
+    to 2 kg, drawn for each block of each episode, evenly in their logarithm; `Scene.mass` tells it,
+    and nothing that is observed does. Blocks slide on a table with a coefficient of 0.1, so that
+    all of them slow down alike; between two bodies it is 0.3, and impacts do not bounce. An episode
+    runs for 200 steps, and succeeds if the target is within 2 cm of the goal at its end.
 
     Arguments: see `CarryTask`. Raises `InvalidInputError` where ``distractors`` is not in 0 to 20.
     """
@@ -90,6 +86,8 @@ class UnknownMassTask(CarryTask):
     horizon, starts = 30, 64
     conditions: Conditions = (("as trained", {}), ("3 distractors", {"distractors": 3}))
     goal_radius = 0.02
+    types = ("pusher", "block")
+    control_kind = ("force", "force")
 
     def hold_rule(self, seed: int) -> tuple[None, Metadata]:
         """Nothing is held."""
@@ -108,17 +106,6 @@ class UnknownMassTask(CarryTask):
         low, high = np.log(MASSES)
         drawn = np.random.default_rng([seed, 1]).uniform(low, high, node)
         return replace(body, mass=float(np.exp(drawn[-1])), ground_friction=GROUND_FRICTION)
-
-    def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
-        """Samples the scene of a seed, with everything at rest."""
-        scene, world = super().begin(seed)
-        scene = replace(
-            scene,
-            node_name=("pusher", *scene.node_name[1:]),
-            node_type=("pusher", *["block"] * (scene.node_count - 1)),
-            control_kind=("force", "force"),
-        )
-        return scene, world
 
     def cost_terms(self) -> ChainCost:
         """The target to the goal; hardly the pusher to the target."""
