@@ -1,13 +1,13 @@
 """The billiards task: discs on a table with walls and pillars, which a driven cue strikes."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import ChainCost, Conditions, Observation
-from contactgraph.envs.exploration import CorrelatedNoise
+from contactgraph.envs.exploration import NoisyPolicy
 from contactgraph.envs.gripper_task import DT, GripperTask, check_count, fixed_layout
 from contactgraph.envs.planar.body import GRAVITY, PlanarBody
 from contactgraph.envs.planar.world import PlanarWorld
@@ -17,8 +17,9 @@ TABLE = np.array([1.0, 0.6])
 """Half the sides of the table, m; its middle is the origin."""
 DISCS = {"cue": (1.0, 0.05), "ball": (0.5, 0.04), "puck": (1.5, 0.06), "pillar": (1.0, 0.06)}
 """Mass, kg, and radius, m, by node type. The mass of a pillar means nothing: it is static."""
-OBJECT_TYPES = ("ball", "puck")
-"""The types of target, first further object, second, ... in turn."""
+MAX_OBJECTS = 8
+OBJECT_TYPES = ("ball", "puck") * (MAX_OBJECTS // 2)
+"""The types of the target, the first further object, the second, ..."""
 PILLARS = 2
 RESTITUTION = 0.9
 """Of every touch."""
@@ -28,11 +29,8 @@ GROUND_FRICTION = 0.05
 """Coulomb's coefficient between a disc and the table: a deceleration of 0.49 m/s^2."""
 MAX_STEPS = 200
 PASSIVE_STEPS = 80
-MAX_OBJECTS = 8
-FASTEST = 1.5
-"""Speed of an object at the start without a cue, at most, m/s."""
-SLOWEST = 0.3
-"""The same, at least."""
+SLOWEST, FASTEST = 0.3, 1.5
+"""Speed of an object at the start without a cue, and of a random strike, m/s."""
 SHOT = np.array([0.4, 1.1])
 """Distance from target to goal, at least and at most, m."""
 RUN_UP = 0.35
@@ -44,73 +42,40 @@ GAP = 0.04
 
 _TRIES = 400
 
-
-@dataclass(frozen=True, eq=False)
-class BilliardsLayout:
-    """Start and goal of an episode."""
-
-    cue: np.ndarray
-    """[2] m."""
-    target: np.ndarray
-    """[2] m."""
-    goal: np.ndarray
-    """[2] m."""
-    others: np.ndarray
-    """[O + P, 2] m: further objects, then pillars."""
+Layout = tuple[np.ndarray, np.ndarray]
+"""``[N, 2]`` m, the places of cue, target, further objects and pillars, and ``[2]`` m, the goal."""
 
 
-def sample_layout(
-    rng: np.random.Generator, objects: int, fixed: BilliardsLayout | None = None
-) -> BilliardsLayout:
+def sample_layout(rng: np.random.Generator, objects: int, fixed: Layout | None = None) -> Layout:
     """Samples a layout with ``objects`` objects, uniformly over those that keep the distances.
 
     With ``fixed``, target and goal are those of this layout. A layout without space for every disc
     is rejected as a whole and sampled again.
     """
-    types = [_type_of(index) for index in range(1, objects)] + ["pillar"] * PILLARS
+    types = ("ball", "cue", *OBJECT_TYPES[1:objects], *["pillar"] * PILLARS)
+    radii = np.array([DISCS[kind][1] for kind in types])
     while True:
         target, goal = rng.uniform(-TABLE, TABLE), rng.uniform(-TABLE, TABLE)
         if fixed is not None:
-            target, goal = fixed.target, fixed.goal
+            target, goal = fixed[0][TARGET], fixed[1]
         shot = goal - target
         length = float(np.linalg.norm(shot))
         start = target - RUN_UP * shot / length
         inside = [np.abs(start) <= TABLE - 0.07, np.abs(goal) <= TABLE - 0.15]
         if not (SHOT[0] <= length <= SHOT[1] and np.all(inside)):
             continue
-        line = np.linspace(start, goal, 30)
-        places, radii = [target], [DISCS["ball"][1]]
-        for kind in ["cue", *types]:
-            radius = DISCS[kind][1]
-            place = _free_place(rng, np.array(places), np.array(radii), radius, line, kind)
-            if place is None:
+        line, places = np.linspace(start, goal, 30), target[None]
+        for placed, radius in enumerate(radii[1:], start=1):
+            tries = rng.uniform(radius + GAP - TABLE, TABLE - radius - GAP, (_TRIES, 1, 2))
+            apart = np.linalg.norm(places - tries, axis=-1) - radii[:placed] - radius
+            free = apart.min(axis=1) >= GAP
+            if placed > 1:  # the cue alone may be in the line of the shot
+                free &= np.linalg.norm(line - tries, axis=-1).min(axis=1) >= CORRIDOR
+            if not free.any():
                 break
-            places.append(place)
-            radii.append(radius)
-        if len(places) == 2 + len(types):
-            return BilliardsLayout(places[1], target, goal, np.reshape(places[2:], (-1, 2)))
-
-
-def _free_place(
-    rng: np.random.Generator,
-    places: np.ndarray,
-    radii: np.ndarray,
-    radius: float,
-    line: np.ndarray,
-    kind: str,
-) -> np.ndarray | None:
-    """[2] m, clear of the discs before it and, but for the cue, of the line of the shot."""
-    for candidate in rng.uniform(radius + GAP - TABLE, TABLE - radius - GAP, (_TRIES, 2)):
-        apart = np.linalg.norm(places - candidate, axis=-1) - radii - radius
-        clear = kind == "cue" or np.linalg.norm(line - candidate, axis=-1).min() >= CORRIDOR
-        if clear and apart.min() >= GAP:
-            return np.asarray(candidate)
-    return None
-
-
-def _type_of(index: int) -> str:
-    """Node type of object ``index``; the target is object 0."""
-    return OBJECT_TYPES[index % len(OBJECT_TYPES)]
+            places = np.vstack([places, tries[free.argmax()]])
+        else:
+            return np.vstack([places[1], target, places[2:]]), goal
 
 
 STAND_OFF = 0.18
@@ -131,22 +96,17 @@ BRAKING = 0.03
 """Distance from a wall at which the cue begins to brake, m."""
 DETOUR = 0.4
 """Length of a shot that does not lead to the goal, at most, m."""
+_HOLD = 25
+"""Steps of a random strike."""
 _TURNS = np.deg2rad([turn for step in range(19) for turn in (10 * step, -10 * step)])
 
 
-class BilliardsExpert:
+class BilliardsExpert(NoisyPolicy):
     """Goes behind the target, on the line to the goal, and strikes it so that it stops there.
 
     The speed of the strike follows from the distance, the friction with the table and the law of
-    the impact. A target that would stop elsewhere is struck again. ``noise`` N is the standard
-    deviation of a force added on each axis, correlated over ``correlation_steps`` steps.
+    the impact. A target that would stop elsewhere is struck again.
     """
-
-    def __init__(self, noise: float = 0.5, correlation_steps: float = 2.0) -> None:
-        self._noise = CorrelatedNoise(noise, correlation_steps)
-        self._target = 1
-        self._mass = np.ones(0)
-        self._radius = np.ones(0)
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode; raises `InvalidInputError` where ``scene`` is no billiards."""
@@ -158,18 +118,17 @@ class BilliardsExpert:
             )
         self._target = scene.node_name.index("target")
         self._mass, self._radius = scene.mass, scene.radius
-        self._noise.reset(scene.dimension, seed)
+        super().reset(scene, seed)
 
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """The control ``[2]`` N."""
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[2]`` N, without the noise."""
         position, velocity = observation["position"], observation["velocity"]
         shot = np.asarray(observation["goal"] - position[self._target])
         resting = np.linalg.norm(velocity[self._target]) <= AT_REST
         wanted = np.zeros(2)
         if resting and np.linalg.norm(shot) > NEAR_GOAL:
             wanted = self._velocity(position, velocity[CUE], self._feasible(position, shot))
-        force = self._mass[CUE] * (wanted - velocity[CUE]) / TIME_CONSTANT
-        return force + self._noise()
+        return np.asarray(self._mass[CUE] * (wanted - velocity[CUE]) / TIME_CONSTANT)
 
     def _feasible(self, position: np.ndarray, shot: np.ndarray) -> np.ndarray:
         """[2] m: the shot, turned as little as gives the cue a free position behind the target."""
@@ -230,37 +189,25 @@ def _turned_aside(
     return np.asarray(wanted + nearness * closing * (1.5 * normal + side * tangent))
 
 
-class StrikingPolicy:
-    """Drives the cue at one object after the other, drawn at random: for exploration.
-
-    It chooses every ``hold`` steps, and a speed of up to ``fastest`` m/s.
-    """
-
-    def __init__(self, hold: int = 25, fastest: float = 1.5, noise: float = 0.5) -> None:
-        self._hold, self._fastest = hold, fastest
-        self._noise = CorrelatedNoise(noise, 2.0)
-        self._rng = np.random.default_rng(0)
-        self._objects = np.zeros(0, dtype=int)
-        self._step = 0
-        self._aim, self._speed = 0, 0.0
+class StrikingPolicy(NoisyPolicy):
+    """Drives the cue at one object after the other, drawn every 25 steps: for exploration."""
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode."""
         self._objects = np.flatnonzero(scene.passive)
         self._rng = np.random.default_rng(seed)
-        self._noise.reset(scene.dimension, seed)
+        super().reset(scene, seed)
         self._step = 0
 
-    def __call__(self, observation: Observation) -> np.ndarray:
-        """The control ``[2]`` N."""
-        if self._step % self._hold == 0:
+    def _force(self, observation: Observation) -> np.ndarray:
+        """``[2]`` N, without the noise."""
+        if self._step % _HOLD == 0:
             self._aim = int(self._rng.choice(self._objects))
-            self._speed = float(self._rng.uniform(0.3, self._fastest))
+            self._speed = self._rng.uniform(SLOWEST, FASTEST)
         self._step += 1
         way = observation["position"][self._aim] - observation["position"][CUE]
         wanted = self._speed * way / max(float(np.linalg.norm(way)), DT)
-        force = (wanted - observation["velocity"][CUE]) / TIME_CONSTANT
-        return force + self._noise()
+        return np.asarray((wanted - observation["velocity"][CUE]) / TIME_CONSTANT)
 
 
 class BilliardsTask(GripperTask):
@@ -296,27 +243,19 @@ class BilliardsTask(GripperTask):
         engine: str | None = None,
     ) -> None:
         check_count("objects", objects, 1, MAX_OBJECTS)
-        self.passive, driven = passive, not passive
-        steps = MAX_STEPS if driven else PASSIVE_STEPS
-        count = driven + objects + PILLARS
-        extent = float(TABLE.max())
-        super().__init__(count, steps, extent, fixed_seed=fixed_seed)
-        self._types = (
-            *["cue"] * driven,
-            *(_type_of(index) for index in range(objects)),
-            *["pillar"] * PILLARS,
-        )
-        self._objects = objects
-        self._engine = engine
+        self.passive, self._objects, self._engine = passive, objects, engine
+        self.chain = (0,) if passive else (CUE, TARGET)
+        self._types = ("cue", *OBJECT_TYPES[:objects], *["pillar"] * PILLARS)[int(passive) :]
+        steps, extent = PASSIVE_STEPS if passive else MAX_STEPS, float(TABLE.max())
+        super().__init__(len(self._types), steps, extent, fixed_seed=fixed_seed)
         self._fixed = fixed_layout(fixed_seed, lambda rng: sample_layout(rng, MAX_OBJECTS))
 
     def begin(self, seed: int) -> tuple[Scene, PlanarWorld]:
         """Samples the scene of a seed; at rest, unless it is passive."""
         rng = np.random.default_rng(seed)
-        layout = sample_layout(rng, self._objects, self._fixed)
-        position = np.vstack([layout.cue, layout.target, layout.others])[int(self.passive) :]
-        count = len(position)
-        velocity = np.zeros((count, 2))
+        places, goal = sample_layout(rng, self._objects, self._fixed)
+        position = places[int(self.passive) :]
+        velocity = np.zeros_like(position)
         if self.passive:
             speed, heading = rng.uniform([SLOWEST, -np.pi], [FASTEST, np.pi], (self._objects, 2)).T
             moving = speed * np.array([np.cos(heading), np.sin(heading)])
@@ -334,7 +273,7 @@ class BilliardsTask(GripperTask):
                 friction=FRICTION,
                 ground_friction=0.0 if static[index] else GROUND_FRICTION,
             )
-            for index in range(count)
+            for index in range(len(position))
         ]
         walls = np.array([-TABLE, TABLE])
         world = PlanarWorld(bodies, DT, walls=walls, engine=self._engine)
@@ -348,7 +287,7 @@ class BilliardsTask(GripperTask):
             node_type=self._types,
             actuated=np.array([kind == "cue" for kind in self._types]),
             dt=DT,
-            goal=layout.goal,
+            goal=goal,
             mass=mass,
             radius=radius,
             static=static,
@@ -366,10 +305,4 @@ class BilliardsTask(GripperTask):
 
     def cost_terms(self) -> ChainCost:
         """Cue to target and target to goal, with the weights of the pickup; the end counts most."""
-        return ChainCost(
-            chain=(0,) if self.passive else (CUE, TARGET),
-            pick_weights=np.array([3.0, 3.0, 0.2, 0.2]),
-            goal_weights=np.array([50.0, 50.0, 1.0, 1.0]),
-            control_weight=0.01,
-            terminal_weight=100.0,
-        )
+        return replace(super().cost_terms(), terminal_weight=100.0)
