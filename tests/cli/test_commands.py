@@ -343,16 +343,17 @@ def test_report(
     page = tmp_path / "report" / "index.html"
     options = ("--test-runs", 1, "--episodes", 2, "--quick", "--beside", "pickup", "pickup")
     done("report", "pickup", *options, "--out", page)
-    assert f"the report: {page}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"the report: {page}" in said
     open_loop, beside = sorted((page.parent / "cells").glob("evaluate-*.json"))
     assert (open_loop.stem, beside.stem) == ("evaluate-as-trained", "evaluate-beside-as-trained")
     measured = json.loads(open_loop.read_text())
-    numbers = json.loads((page.parent / "results.json").read_text())["numbers"]
-    errors = {number["value"] for number in numbers if number["unit"] == "cm"}
-    assert any(error == pytest.approx(100 * measured["n_step_rmse_moving_m"]) for error in errors)
-    named = {number["what"]: number["value"] for number in numbers}
+    rows = [line.strip("| ").split(" | ") for line in said.splitlines() if line.startswith("|")]
+    named = dict(row for row in rows if len(row) == 2)
+    error = short(100 * measured["n_step_rmse_moving_m"])
+    assert named["N-step error of bodies that move"] == f"{error} cm"
     ahead = f"one step ahead, {task.test_conditions()[0].name}"
-    assert named[f"calibration error, {ahead}"] == pytest.approx(measured["calibration_error"])
+    assert named[f"calibration error, {ahead}"] == short(measured["calibration_error"])
     text = page.read_text(encoding="utf-8")
     mine, other = json.loads(text.partition('id="report-data">')[2].partition("<")[0])["beliefs"]
     assert mine == other and mine["title"] == "pickup: gripper and target"
@@ -361,8 +362,6 @@ def test_report(
     assert mine["lines"][0]["states"] == mine["truth"], "measured without an error"
     for value in (measured["edge_f1_now"], measured["edge_f1_now_unmeasured"]):
         assert text.count(f'"figure">{short(value)}</td>') >= 2
-    assert len((page.parent / "table.csv").read_text().splitlines()) == 1 + len(numbers)
-    assert (page.parent / "pickup.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow

@@ -34,11 +34,18 @@ class ConditionResult:
     closed_loop_command: str
 
 
-_BASELINES = (
-    ("constant_velocity", "constant velocity's"),
-    ("standing_still", "standing still's"),
-    ("frozen_contact", "the fixed-contact oracle's"),
-)
+_BASELINES = {
+    "constant_velocity": "constant velocity's",
+    "standing_still": "standing still's",
+    "frozen_contact": "the fixed-contact oracle's",
+}
+_WINDOWS = {
+    "_moving": "bodies that move, all windows",
+    "_contact": "all bodies, windows in which a contact changes",
+    "_free": "all bodies, windows without a change of contact",
+    "": "all bodies, all windows",
+}
+"""By the ending of the JSON keys of errors."""
 _HORIZONS = {"": "one step ahead", "_ahead": "at the end of the window"}
 _SOURCES = {"": "contacts and motion", "_inferred": "motion alone", "_unmeasured": "nothing"}
 """Corrections of beliefs, by the ending of their JSON keys."""
@@ -50,60 +57,51 @@ def report_metrics(
     """Every number of the report, in the order of its table; the hardest condition comes last."""
     seed = int(model.training.get("seed", 0))
     first, last = results[0], results[-1]
+    error = {one.condition.name: one.open_loop["n_step_rmse_moving_m"] for one in results}
+    usual, hardest = first.condition.name, last.condition.name
     metrics: list[ReportMetric] = []
 
     def add(name: str, unit: str, value: float | None, command: str, **options: Any) -> None:
         metrics.append(ReportMetric(name, value, unit, command=command, seed=seed, **options))
 
-    def add_error(name: str, one: ConditionResult, tile: bool = False) -> None:
-        error = one.open_loop["n_step_rmse_moving_m"]
-        error_cm = None if error is None else 100.0 * error
-        add(name, "cm", error_cm, one.open_loop_command, tile=tile)
-
-    add_error("N-step error of bodies that move", first, tile=True)
-    for baseline, text in _BASELINES:
-        ratio = _ratio(
-            first.open_loop["n_step_rmse_moving_m"], first.open_loop[f"{baseline}_rmse_moving_m"]
-        )
-        name = f"the same, share of {text}"
-        add(name, "", ratio, first.open_loop_command)
+    command = first.open_loop_command
+    name = "N-step error of bodies that move"
+    add(name, "cm", _times(100.0, error[usual]), command, tile=True)
+    for baseline, text in _BASELINES.items():
+        ratio = _ratio(error[usual], first.open_loop[f"{baseline}_rmse_moving_m"])
+        add(f"the same, share of {text}", "", ratio, command)
     for one in results[1:]:
-        growth = _ratio(
-            one.open_loop["n_step_rmse_moving_m"], first.open_loop["n_step_rmse_moving_m"]
-        )
-        name = f"that error, {one.condition.name} against {first.condition.name}"
-        add(name, "times", growth, one.open_loop_command)
+        growth = _ratio(error[one.condition.name], error[usual])
+        text = f"that error, {one.condition.name} against {usual}"
+        add(text, "times", growth, one.open_loop_command)
     if last is not first:
-        add_error(f"N-step error of bodies that move, {last.condition.name}", last)
+        add(f"{name}, {hardest}", "cm", _times(100.0, error[hardest]), last.open_loop_command)
     for one in (first, last):
         name, f1 = f"edge F1, {one.condition.name}", one.open_loop["edge_f1"]
         add(name, "", f1, one.open_loop_command, tile=one is last)
     for ahead, text in _HORIZONS.items():
-        error, command = last.open_loop[f"calibration_error{ahead}"], last.open_loop_command
-        name = f"calibration error, {text}, {last.condition.name}"
-        add(name, "", error, command)
+        name, value = f"calibration error, {text}, {hardest}", f"calibration_error{ahead}"
+        add(name, "", last.open_loop[value], last.open_loop_command)
     for one in results:
-        low, high = one.closed_loop["success_interval"]
-        add(
-            f"success, {one.condition.name}",
-            "%",
-            100.0 * one.closed_loop["success_rate"],
-            one.closed_loop_command,
-            tile=True,
-            interval=(100.0 * low, 100.0 * high),
-        )
+        name, loop = f"success, {one.condition.name}", one.closed_loop
+        low, high = (100.0 * end for end in loop["success_interval"])
+        share, command = 100.0 * loop["success_rate"], one.closed_loop_command
+        add(name, "%", share, command, tile=True, interval=(low, high))
     loop, command = first.closed_loop, first.closed_loop_command
     speed, slowest = loop["contact_speed_m_s"], loop["slowest_before_contact_min_m_s"]
     add("speed at contact, median", "m/s", speed, command, tile=True)
     add("slowest on the way there, any episode", "m/s", slowest, command)
-    training_s = float(model.training.get("training_s", "nan"))
     trained_by = str(model.training.get("command", ""))
-    add("training", "s", training_s, trained_by)
-    name = f"control step, horizon {last.closed_loop['horizon']}, {last.condition.name}, 99 %"
-    milliseconds, command = last.closed_loop["plan_ms_p99"], last.closed_loop_command
-    add(name, "ms", milliseconds, command, tile=True)
+    add("training", "s", float(model.training.get("training_s", "nan")), trained_by)
+    loop, command = last.closed_loop, last.closed_loop_command
+    name = f"control step, horizon {loop['horizon']}, {hardest}, 99 %"
+    add(name, "ms", loop["plan_ms_p99"], command, tile=True)
     add("model file", "MB", model.size / 1e6, trained_by)
     return tuple(metrics)
+
+
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value
 
 
 def _ratio(value: float | None, reference: float | None) -> float | None:
@@ -112,26 +110,19 @@ def _ratio(value: float | None, reference: float | None) -> float | None:
 
 def n_step_errors(results: Sequence[ConditionResult]) -> list[NStepError]:
     """The errors of every condition, by kind of window."""
-    errors = []
-    for windows, suffix in (
-        ("bodies that move, all windows", "_moving"),
-        ("all bodies, windows in which a contact changes", "_contact"),
-        ("all bodies, windows without a change of contact", "_free"),
-        ("all bodies, all windows", ""),
-    ):
-        for one in results:
-            loop = one.open_loop
-            errors.append(
-                NStepError(
-                    condition=one.condition.name,
-                    windows=windows,
-                    model_m=loop.get(f"n_step_rmse{suffix}_m"),
-                    frozen_contact_m=loop.get(f"frozen_contact_rmse{suffix}_m"),
-                    constant_velocity_m=loop.get(f"constant_velocity_rmse{suffix}_m"),
-                    standing_still_m=loop.get(f"standing_still_rmse{suffix}_m"),
-                )
-            )
-    return errors
+    names = {"model": "n_step", **{baseline: baseline for baseline in _BASELINES}}
+    return [
+        NStepError(
+            condition=one.condition.name,
+            windows=windows,
+            **{
+                f"{field}_m": one.open_loop.get(f"{name}_rmse{ending}_m")
+                for field, name in names.items()
+            },
+        )
+        for ending, windows in _WINDOWS.items()
+        for one in results
+    ]
 
 
 def reliability_curves(result: ConditionResult) -> list[ReliabilityCurve]:

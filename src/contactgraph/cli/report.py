@@ -11,11 +11,11 @@ from contactgraph.cli.collect import Collect
 from contactgraph.cli.control import Control
 from contactgraph.cli.evaluate import Evaluate
 from contactgraph.cli.options import AUTO, Device, ModelArgument, option_arguments
+from contactgraph.data import InvalidInputError
 
 if TYPE_CHECKING:
     from contactgraph.cli.model_report import ConditionResult
-    from contactgraph.envs.registry import TaskSpec, TestCondition
-    from contactgraph.model.io import ModelSummary
+    from contactgraph.envs.registry import TestCondition
     from contactgraph.viz import BeliefTimeline, SceneTrajectory
 
 
@@ -50,18 +50,27 @@ class Report:
 
     def run(self) -> None:
         """Test, and write the page."""
+        from contactgraph.cli.model_report import (
+            loss_curves,
+            n_step_errors,
+            reliability_curves,
+            report_metrics,
+        )
         from contactgraph.cli.models import model_path, run_folder
-        from contactgraph.cli.output import check_writable
-        from contactgraph.data import InvalidInputError
+        from contactgraph.cli.output import check_writable, provenance
         from contactgraph.envs.registry import task_spec
         from contactgraph.model.io import describe_model
+        from contactgraph.train import RunFolder
+        from contactgraph.viz import ReportData, write_report
+        from contactgraph.viz.metric_table import markdown_metrics
 
         if self.test_runs < 1:
             raise InvalidInputError(f"--test-runs must be at least 1, found {self.test_runs}")
         if self.beside is not None:
             model_path(self.beside[0])
             task_spec(self.beside[1])
-        page = self.out or (run_folder(self.model) or Path()) / "report" / "index.html"
+        training = run_folder(self.model)
+        page = self.out or (training or Path()) / "report" / "index.html"
         if page.parent.exists():
             check_writable(page)
         task, summary = task_spec(self.task), describe_model(model_path(self.model))
@@ -71,7 +80,29 @@ class Report:
         tested = [self._test(cells, condition) for condition in conditions]
         results, scenes = [result for result, _ in tested], [scene for _, scene in tested]
         timelines = self._timelines(cells, results[0])
-        self._write(page, task, summary, results, scenes, timelines)
+        command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
+        if self.beside is not None:
+            command += " --beside " + " ".join(self.beside)
+        if self.quick:
+            command += " --quick"
+        metrics = report_metrics(results, summary)
+        data = ReportData(
+            title=f"{task.summary or self.task}: a contact graph",
+            summary="A model learned from recorded trajectories of a gripper when bodies touch and "
+            "how they move then; iLQR-MPC uses it to do the same in new scenes.",
+            metrics=metrics,
+            scenes=tuple(scenes),
+            beliefs=tuple(timelines),
+            errors=tuple(n_step_errors(results)),
+            horizon_s=_HORIZON_S,
+            reliability=tuple(reliability_curves(results[-1])),
+            losses=() if training is None else tuple(loss_curves(RunFolder(training).metrics())),
+            versions=provenance()["versions"],
+            remake=(command,),
+        )
+        write_report(page, data)
+        print(markdown_metrics(metrics))
+        print(f"the report: {page}")
 
     def _test(
         self, folder: Path, condition: "TestCondition"
@@ -123,74 +154,9 @@ class Report:
             timelines.append(inferred_beliefs(model, task, data, _read(open_loop)))
         return [each for each in timelines if each is not None]
 
-    def _write(
-        self,
-        page: Path,
-        task: "TaskSpec",
-        summary: "ModelSummary",
-        results: "list[ConditionResult]",
-        scenes: "list[SceneTrajectory]",
-        timelines: "list[BeliefTimeline]",
-    ) -> None:
-        """The page, and beside it the table (Markdown, CSV, JSON) and a figure of one scene."""
-        from contactgraph.cli.model_report import (
-            loss_curves,
-            n_step_errors,
-            reliability_curves,
-            report_metrics,
-        )
-        from contactgraph.cli.models import run_folder
-        from contactgraph.cli.output import provenance, write_json, write_text
-        from contactgraph.train import RunFolder
-        from contactgraph.viz import ReportData, write_report, write_summary_figure
-        from contactgraph.viz.metric_table import csv_metrics, markdown_metrics
-
-        command = f"contactgraph report {self.model} --task {self.task} --seed {self.seed}"
-        if self.beside is not None:
-            command += " --beside " + " ".join(self.beside)
-        if self.quick:
-            command += " --quick"
-        training = run_folder(self.model)
-        metrics = report_metrics(results, summary)
-        data = ReportData(
-            title=f"{task.summary or self.task}: a contact graph",
-            summary="A model learned from recorded trajectories of a gripper when bodies touch and "
-            "how they move then; iLQR-MPC uses it to do the same in new scenes.",
-            metrics=metrics,
-            scenes=tuple(scenes),
-            beliefs=tuple(timelines),
-            errors=tuple(n_step_errors(results)),
-            horizon_s=_HORIZON_S,
-            reliability=tuple(reliability_curves(results[-1])),
-            losses=() if training is None else tuple(loss_curves(RunFolder(training).metrics())),
-            versions=provenance()["versions"],
-            remake=(command,),
-        )
-        folder = page.parent
-        write_report(page, data)
-        figure = folder / f"{self.task.replace(':', '-')}.png"
-        write_summary_figure(figure, scenes[min(1, len(scenes) - 1)])
-        write_text(folder / "table.md", markdown_metrics(metrics))
-        write_text(folder / "table.csv", csv_metrics(metrics))
-        write_json(
-            folder / "results.json",
-            {
-                "numbers": [
-                    {"what": metric.name} | {key: getattr(metric, key) for key in _JSON_KEYS}
-                    for metric in metrics
-                ],
-                "training_seed": int(summary.training.get("seed", 0)),
-                "remake": [command],
-                **provenance(),
-            },
-        )
-        print(markdown_metrics(metrics))
-        print(f"the report: {page}")
-
 
 _HORIZON_S = 0.5
 """Of the N-step errors."""
-_JSON_KEYS = ("unit", "value", "interval", "command")
 
 
 def _files(folder: Path, slug: str) -> tuple[Path, Path]:

@@ -1,7 +1,5 @@
-"""Tables of metrics: Markdown for people, CSV for programs."""
+"""Tables of metrics in Markdown."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 
@@ -22,17 +20,6 @@ def markdown_metrics(metrics: Sequence[ReportMetric]) -> str:
             measured += f" ({short(low)} to {short(high)})"
         lines.append(f"| {metric.name} | {measured} |")
     return "\n".join(lines) + "\n"
-
-
-def csv_metrics(metrics: Sequence[ReportMetric]) -> str:
-    """One row per metric: name, unit, value, interval, command."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["what", "unit", "value", "low", "high", "command"])
-    for metric in metrics:
-        low, high = metric.interval or (None, None)
-        writer.writerow([metric.name, metric.unit, metric.value, low, high, metric.command])
-    return text.getvalue()
 
 
 def short(value: float) -> str:
