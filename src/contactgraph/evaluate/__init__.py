@@ -24,7 +24,7 @@ from contactgraph.evaluate.open_loop import evaluate_open_loop as evaluate_open_
 from contactgraph.evaluate.open_loop import horizon_steps as horizon_steps
 from contactgraph.evaluate.plan_tracking import PlanTrackingError as PlanTrackingError
 from contactgraph.evaluate.plan_tracking import plan_tracking_error as plan_tracking_error
-from contactgraph.evaluate.recorded_windows import Prediction as Prediction
-from contactgraph.evaluate.recorded_windows import RecordedWindows as RecordedWindows
+from contactgraph.evaluate.prediction_windows import Prediction as Prediction
+from contactgraph.evaluate.prediction_windows import RecordedWindows as RecordedWindows
 from contactgraph.evaluate.statistics import number_or_word as number_or_word
 from contactgraph.evaluate.statistics import wilson_interval as wilson_interval

@@ -7,6 +7,7 @@ members) / (sum of I_n).
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -96,8 +97,8 @@ def fixed_contact_oracle(trajectory: Trajectory, steps: int) -> np.ndarray | Non
     if not hinged:
         return straight
     position, velocity = trajectory.position[:starts], trajectory.velocity[:starts]
-    turned, turns = hinged_positions(scene, group, position, velocity, force, _substeps(trajectory))
-    return np.where(turns[:, None, :, None], turned, straight)
+    around, turns = hinged_positions(scene, group, position, velocity, force, count)
+    return np.where(turns[:, None, :, None], around, straight)
 
 
 def node_force(trajectory: Trajectory) -> np.ndarray | None:
@@ -169,15 +170,16 @@ def hinged_positions(
     elsewhere = np.any(anchor[None, None] != pivot[:, :, None], axis=-1)
     blocked = np.any((member > 0) & elsewhere, axis=-1)
 
+    summed = partial(np.einsum, "sij,sj->si", group)  # over each node's group
     radius = position - pivot
     square = np.sum(radius**2, axis=-1)
-    inertia = _summed(group, mass * square * np.where(hinged, 4.0 / 3.0, 1.0))
+    inertia = summed(mass * square * np.where(hinged, 4.0 / 3.0, 1.0))
     # A body at its own hinge has no radius to turn by.
     can_turn = turns & ~blocked & (inertia > 0.0)
     inverse = np.where(can_turn, 1.0, 0.0) / np.where(inertia > 0.0, inertia, 1.0)
     # A bar's velocity is that of its middle; its momentum is I / |r|^2 times that moment.
     spin = mass * np.where(hinged, 4.0 / 3.0, 1.0) * _cross(radius, velocity)
-    speed = inverse * _summed(group, spin)
+    speed = inverse * summed(spin)
     angle = np.zeros_like(speed)
 
     count = _SUBSTEPS if substeps is None else substeps
@@ -189,24 +191,19 @@ def hinged_positions(
     for step in range(force.shape[1]):
         for _ in range(count):
             angle = angle + before * speed
-            moment = _cross(_turned(radius, angle), force[:, step])
-            speed = speed + small * inverse * _summed(group, moment)
+            moment = _cross(turned(radius, angle), force[:, step])
+            speed = speed + small * inverse * summed(moment)
             angle = angle + (small - before) * speed
-        positions.append(pivot + _turned(radius, angle))
+        positions.append(pivot + turned(radius, angle))
     return np.stack(positions, axis=1), turns
-
-
-def _summed(group: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """[S, N] sums of ``value`` [S, N] over each node's group."""
-    return np.einsum("sij,sj->si", group, value)
 
 
 def _cross(radius: np.ndarray, other: np.ndarray) -> np.ndarray:
     return radius[..., 0] * other[..., 1] - radius[..., 1] * other[..., 0]
 
 
-def _turned(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """``radius`` [S, N, 2] turned by ``angle`` [S, N] rad."""
+def turned(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """``radius`` [..., 2] turned by ``angle`` [...] rad, in the plane."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = radius[..., 0], radius[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)

@@ -136,8 +136,17 @@ def control_task(
             own[name].append(measure(trajectory))
         if on_episode is not None:
             on_episode(trajectory, record)
-    done = trajectories, succeeded, chains, seed, np.concatenate(plan_ms)
-    return ControlResult(trajectories, closed_loop_metrics(*done, planned, estimated, seeds), own)
+    measured = closed_loop_metrics(
+        trajectories,
+        succeeded,
+        chains,
+        seed,
+        plan_ms=np.concatenate(plan_ms),
+        planned=planned,
+        estimated=estimated,
+        scene_seeds=seeds,
+    )
+    return ControlResult(trajectories, measured, own)
 
 
 def closed_loop_metrics(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from contactgraph.evaluate.edge_scores import edge_counts, switch_time_errors
-from contactgraph.evaluate.recorded_windows import Prediction, RecordedWindows
+from contactgraph.evaluate.prediction_windows import Prediction, RecordedWindows
 from contactgraph.evaluate.statistics import finite_or_none, moving_errors, number_or_word
 
 MODEL = "n_step"

@@ -137,14 +137,8 @@ class FittedNetwork:
 
 
 @eqx.filter_jit
-def _rollouts(
-    network: InteractionNetwork,
-    nodes: Nodes,
-    position: Array,
-    velocity: Array,
-    control: Array,
-) -> Array:
-    return jax.vmap(network.rollout, (None, 0, 0, 0))(nodes, position, velocity, control)[0]
+def _rollouts(network: InteractionNetwork, nodes: Nodes, *windows: Array) -> Array:
+    return jax.vmap(network.rollout, (None, 0, 0, 0))(nodes, *windows)[0]
 
 
 def fit_interaction_network(

@@ -32,8 +32,11 @@ from contactgraph.evaluate.metrics import (
     unbeaten_baselines,
     verdict,
 )
-from contactgraph.evaluate.prediction_windows import TrajectoryWindows
-from contactgraph.evaluate.recorded_windows import Prediction, RecordedWindows
+from contactgraph.evaluate.prediction_windows import (
+    Prediction,
+    RecordedWindows,
+    TrajectoryWindows,
+)
 from contactgraph.evaluate.statistics import Sums, finite_or_none
 from contactgraph.large_scenes import ReallocatingModel
 from contactgraph.model import (
@@ -170,7 +173,7 @@ def evaluate_open_loop(
             UNMEASURED: unmeasured,
             INFERRED: inferred,
         }
-        parts.append((windows.recorded(), found))
+        parts.append((windows.recorded, found))
     recorded, predicted = map(_concatenated, zip(*parts, strict=True))
     if last_window_of:
         types = dict(zip(last_window_of, recorded.node_types, strict=True))

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.bodies.graph import edge_count
 from contactgraph.data import Scene, Trajectory, TrajectoryBatch
+from contactgraph.evaluate.baselines import turned
 from contactgraph.model import (
     ContactBelief,
     ContactDynamics,
@@ -185,10 +186,5 @@ def pin_gaps(
 ) -> np.ndarray:
     """[..., P] m: distance between the two points of each pin of bodies at ``position`` [..., N, 2]
     m and ``angle`` [..., N] rad."""
-    turn = angle[..., pins, None]
-    x, y = pin_points[..., :1], pin_points[..., 1:]
-    arm = np.concatenate(
-        [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)], axis=-1
-    )
-    ends = position[..., pins, :] + arm
+    ends = position[..., pins, :] + turned(pin_points, angle[..., pins])
     return np.asarray(np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1))
