@@ -225,7 +225,7 @@ def test_control_plans_with_it(
         ("--out a.json --prior-weight inf", "--prior-weight must be a number of at least 0, foun"),
         ("--out a.json --goal 0.1", "--goal must be 2 finite numbers [m], found 0.1"),
         ("--out a.json --goal 0.1 nan", "--goal must be 2 finite numbers [m], found 0.1 nan"),
-        ("--out a.json --goal 0.1 x", "--goal must be numbers, found '0.1', 'x' (see"),
+        ("--out a.json --goal 0.1 x", "learn-cost: --goal must be numbers, found '0.1', 'x' (see"),
         ("--out a.json --goal", "--goal must be 2 finite numbers [m], found none"),
     ],
 )

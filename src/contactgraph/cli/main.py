@@ -45,6 +45,17 @@ _CONFIG = (
     tyro.conf.OmitArgPrefixes,
     tyro.conf.FlagCreatePairsOff,
 )
+_OVERVIEW = """\
+usage: contactgraph COMMAND ...
+
+Learn which objects touch when, and control through contact.
+
+commands:
+{commands}
+
+contactgraph COMMAND --help describes the options of a command;
+contactgraph info lists the shipped models and the tasks;
+contactgraph --version prints the version."""
 _GROUP = "contactgraph.commands"
 _COMMANDS: dict[str, type[Command]] = {
     "collect": Collect,
@@ -104,12 +115,7 @@ def parse(arguments: Sequence[str]) -> Command | int:
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):
-            return tyro.cli(
-                _command(name),
-                prog=f"contactgraph {name}",
-                args=rest,
-                config=_CONFIG,
-            )
+            return tyro.cli(_command(name), prog=f"contactgraph {name}", args=rest, config=_CONFIG)
     except SystemExit as exit:
         if exit.code in (0, None):
             sys.stdout.flush()
@@ -125,14 +131,12 @@ def _names() -> list[str]:
 def _command(name: str) -> type[Command]:
     command = _COMMANDS.get(name) or load_entry_point(_GROUP, name)
     if command is None:
-        raise InvalidInputError(_unknown(name, _names()))
+        near = difflib.get_close_matches(name, _names(), n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InvalidInputError(
+            f"no command {name!r}; the commands are {', '.join(_names())}{hint}"
+        )
     return command
-
-
-def _unknown(name: str, names: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    return f"no command {name!r}; the commands are {', '.join(names)}{hint}"
 
 
 def _overview() -> str:
@@ -143,20 +147,7 @@ def _overview() -> str:
         except InvalidInputError as error:
             summary = f"(not available: {error})"
         lines.append(f"  {name:<12}{' '.join(summary.split())}")
-    return "\n".join(
-        [
-            "usage: contactgraph COMMAND ...",
-            "",
-            "Learn which objects touch when, and control through contact.",
-            "",
-            "commands:",
-            *lines,
-            "",
-            "contactgraph COMMAND --help describes the options of a command;",
-            "contactgraph info lists the shipped models and the tasks;",
-            "contactgraph --version prints the version.",
-        ]
-    )
+    return _OVERVIEW.format(commands="\n".join(lines))
 
 
 def _keep_compiled_programs() -> None:
@@ -169,16 +160,17 @@ def _keep_compiled_programs() -> None:
 _STYLE = re.compile(r"\x1b\[[0-9;]*m")
 # The parser draws boxes from other characters if standard output is not Unicode.
 _BOX = re.compile(r"[╭╮╰╯│─┄┈╌]+|-{4,}|^[|+]-?(?=\s)|[|+]$", re.MULTILINE)
-_POINTER = re.compile(r" ?For full helptext, (?:run|see):? contactgraph (?P<command>.+?) --help.*")
-_SUBCOMMAND = re.compile(
-    r"Unrecognized options: (?P<found>[^-\s][^,\s]*).* Available subcommands: (?P<valid>.*)"
-)
-_UNKNOWN = re.compile(r"Unrecognized options: (?P<found>.*?)(?: Perhaps you meant: (?P<near>.*))?$")
-_MISSING = re.compile(r"Missing from [^:]*: (?P<pieces>.*)")
-_BAD_VALUE = re.compile(r"Error parsing (?P<option>\S+?): (?P<reason>.*?) Argument helptext: ")
-_BAD_NUMBER = re.compile(r".*(?P<type>int\(\)|float).*: (?P<found>'.*')")
-_BAD_NUMBERS = re.compile(r".*tuple\[float, \.\.\.\].* arguments: \[(?P<found>.*)\]")
-_TYPES = {"int()": "an integer", "float": "a number"}
+_POINTER = re.compile(r" ?For full helptext, (?:run|see):? contactgraph (.+?) --help.*")
+_MISTAKES = {
+    r"options: ([^-\s][^,\s]*).* Available subcommands: (.*)": r"takes no \1, but \2",
+    r"Unrecognized options: (.*?) Perhaps you meant: (--\S+).*": r"takes no \1; did you mean \2?",
+    r"Unrecognized options: (.*)": r"takes no \1",
+    r"Error parsing (\S+): .*int\(\).*: ('.*') Argument help": r"\1 must be an integer, found \2",
+    r"Error parsing (\S+): .* float: ('.*') Argument help": r"\1 must be a number, found \2",
+    r"Error parsing (\S+): .*arguments: \[(.*)\] Argument": r"\1 must be numbers, found \2",
+    r"Error parsing (\S+): (.*?) Argument helptext: ": r"\1: \2",
+}
+"""Messages of the parser as patterns, and as they are told."""
 
 
 def _one_line(message: str, name: str) -> str:
@@ -186,28 +178,14 @@ def _one_line(message: str, name: str) -> str:
     _, *lines = _BOX.sub(" ", _STYLE.sub("", message)).strip().splitlines()
     text = " ".join(" ".join(lines).split())
     pointer = _POINTER.search(text)
-    command = pointer["command"] if pointer else name
+    command = pointer[1] if pointer else name
     text = _POINTER.sub("", text)
-    if match := _SUBCOMMAND.search(text):
-        valid = [f"{command} {each.strip()}" for each in match["valid"].split(",")]
-        return _unknown(f"{command} {match['found']}", valid)
-    return f"{_mistake(text, command)} (see contactgraph {command} --help)"
-
-
-def _mistake(text: str, command: str) -> str:
-    if match := _UNKNOWN.search(text):
-        # "--stps, 3 Perhaps you meant: --steps INT Optimiser steps."
-        near = re.search(r"--\S+", match["near"] or "")
-        hint = f"; did you mean {near[0]}?" if near else ""
-        return f"{command} does not take {match['found'].replace(',', '')}{hint}"
-    if match := _MISSING.search(text):
-        # "DATA The dataset file. (required) --out FOLDER The folder. (required)"
-        pieces = [piece.split() for piece in match["pieces"].split("(required)")]
-        return f"{command} needs {' and '.join(piece[0] for piece in pieces if piece)}"
-    if match := _BAD_VALUE.search(text):
-        if number := _BAD_NUMBER.fullmatch(match["reason"]):
-            return f"{match['option']} must be {_TYPES[number['type']]}, found {number['found']}"
-        if numbers := _BAD_NUMBERS.fullmatch(match["reason"]):
-            return f"{match['option']} must be numbers, found {numbers['found']}"
-        return f"{match['option']}: {match['reason']}"
-    return f"{command}: {text}"
+    if "(required)" in text and "Unrecognized" not in text:
+        # "Missing from ...: DATA The dataset file. (required) --out FOLDER The folder. (required)"
+        pieces = text.partition(": ")[2].split("(required)")
+        text = "needs " + " and ".join(each.split()[0] for each in pieces if each)
+    for pattern, told in _MISTAKES.items():
+        if match := re.search(pattern, text):
+            text = match.expand(told)
+            break
+    return f"{command}: {text} (see contactgraph {command} --help)"
