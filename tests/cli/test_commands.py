@@ -154,7 +154,7 @@ def test_collect_does_not_wait_for_jax(tmp_path: Path) -> None:
 )
 def test_collect_other_tasks(tmp_path: Path, task: str, options: dict, nodes: int) -> None:
     path = tmp_path / "data.h5"
-    flags = [word for name, value in options.items() for word in (f"--{name}", value)]
+    flags = [word for pair in options.items() for word in ("--option", "{}={}".format(*pair))]
     done("collect", task, *flags, "--episodes", 2, "--exploration", 0.5, "--out", path)
     dataset = read_trajectories(path)
     given = {"distractors": 0, **options, "simulator": simulator(task)}
@@ -386,7 +386,7 @@ def test_control_in_space(tmp_path: Path) -> None:
     )
     plans = ["--horizon", 20, "--replan-every", 20]
     files = ["--json", result, "--save", episodes]
-    done("control", model, "franka", "--episodes", 1, "--grasp", "weld", *plans, *files)
+    done("control", model, "franka", "--episodes", 1, "--option", "grasp=weld", *plans, *files)
     values = json.loads(result.read_text())
     assert values.keys() >= OPEN_LOOP | CLOSED_LOOP
     assert (values["task"], values["grasp"], values["horizon"]) == ("franka", "weld", 20)
@@ -400,7 +400,7 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
         trained: [
             "ours-recurrent, seed 0",
             "12 of 12 steps in 1 s",
-            "held-out    12.500 cm, last 12.5",
+            "held-out            12.500 cm, last 12.5",
         ],
         trained / "model.safetensors": [
             *("model, ", "2 a node, control 2", "0.05 s", "data_sha256"),
@@ -411,7 +411,7 @@ def test_info(trained: Path, recorded: Path, capsys: pytest.CaptureFixture[str])
             "200 of 0.05 s",
             "2: gripper, target",
             "in 20 of 20",
-            "actuation   gripper: force, fits to ",
+            "actuation           gripper: force, fits to ",
         ],
         "pickup": ["pickup: model, ", "command", "seed"],
     }.items():

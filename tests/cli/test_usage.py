@@ -76,7 +76,7 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ("collect door --out a.h5 --mixed --distractors -1", "distractors must be 0 to 10, found"),
         ("collect multi-pickup --out a.h5 --mixed --objects 0", "objects must be 1 to 5, found 0"),
         (
-            "collect franka --out a.h5 --grasp glue",
+            "collect franka --out a.h5 --option grasp=glue",
             "grasp must be one of friction, weld; found",
         ),
         ("collect pickup --out a.h5 --resting 2", "--resting must be 0 to 1, found 2.0"),
@@ -110,20 +110,20 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ),
         (
             "train a.h5 --out run --bystanders 2",
-            "--bystanders: ours is trained without; see train",
+            "--bystanders 2: only for ablations and the paper's forms, not for ours",
         ),
         (
             "train a.h5 --out run --prior-weight 0",
-            "--prior-weight: ours is trained without; see",
+            "--prior-weight 0.0: only for ablations and the paper's forms, not for",
         ),
         ("train a.h5 --out run --seed -1", "--seed must be 0 to 4294967295, found -1"),
         (
             "train a.h5 --out run --model ours-recurrent --edge-types 4",
-            "--edge-types: ours-recurrent has no types to choose; it is for ours and relations",
+            "--edge-types 4: only for ours and relations, not for ours-recurrent",
         ),
         (
             "train a.h5 --out run --graph star --temperature 1",
-            "--graph and --temperature: only the paper's forms have this, not ours",
+            "--graph star and --temperature 1.0: only for the paper's forms, not for ours",
         ),
         ("train a.h5 --out run --graph ring", "--graph must be one of full, star; found 'ring'"),
         ("train a.h5 --out run --temperature 0", "--temperature must be positive, found 0.0"),

@@ -15,19 +15,21 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from contactgraph.cli.options import (
-    Distractors,
-    Engine,
-    Grasp,
-    HiddenSwitch,
-    Objects,
-    OptionPairs,
+    MOST_EPISODES,
+    SceneOptions,
     TaskArgument,
+    check_range,
+    check_seed,
+    given_options,
+    open_executor,
+    options_metadata,
 )
 from contactgraph.data import InvalidInputError, Trajectory, read_trajectories, write_trajectories
+from contactgraph.data.lookup import choice
 
 
 @dataclass(frozen=True)
-class Collect:
+class Collect(SceneOptions):
     """Record trajectories of a task by its scripted expert, and write them to a dataset file.
 
     The same command continues an interrupted recording.
@@ -40,15 +42,9 @@ class Collect:
     """Number of episodes."""
     seed: int = 0
     """Random seed; the same seed records the same trajectories."""
-    distractors: Distractors = 0
-    objects: Objects = None
-    grasp: Grasp = None
     passive: bool = False
     """Nothing is driven: billiards without the cue, whose discs start with velocities; toss,
     dominoes and stack are always so."""
-    hidden_switch: HiddenSwitch = False
-    engine: Engine = None
-    option: OptionPairs = ()
     mixed: bool = False
     """Alternate scenes with 0 to DISTRACTORS distractors, and with 1 to OBJECTS objects."""
     goal: Annotated[str, arg(metavar="NAME")] = "sampled"
@@ -66,21 +62,12 @@ class Collect:
 
     def run(self) -> None:
         """Record and write."""
-        from contactgraph.cli.options import (
-            check_episodes,
-            check_seed,
-            check_share,
-            given_options,
-            open_executor,
-            options_metadata,
-        )
         from contactgraph.cli.output import check_writable, progress
-        from contactgraph.data.lookup import choice
         from contactgraph.envs import RestPolicy
         from contactgraph.envs.episodes import collect, fixed_seed
         from contactgraph.envs.registry import task_factory, task_spec
 
-        check_episodes(self.episodes)
+        check_range("--episodes", self.episodes, 1, MOST_EPISODES)
         check_seed(self.seed)
         shared = choice("--goal", self.goal, {"sampled": None, "fixed": fixed_seed(self.seed)})
         options, task = given_options(self), task_spec(self.task)
@@ -95,10 +82,10 @@ class Collect:
         factories = [task_factory(self.task, each) for each in scenes]
         demonstrates = choice("--expert", self.expert, {"train": False, "demo": True})
         expert = task.demonstrator if demonstrates else task.expert
-        check_share("--resting", self.resting)
+        check_range("--resting", self.resting, 0, 1)
         by_default = 0.0 if demonstrates else min(task.exploration, 1.0 - self.resting)
         exploration = by_default if self.exploration is None else self.exploration
-        check_share("--exploration", exploration)
+        check_range("--exploration", exploration, 0, 1)
         if exploration + self.resting > 1.0:
             raise InvalidInputError("--exploration and --resting together must not exceed 1")
         if demonstrates and exploration + self.resting > 0.0:

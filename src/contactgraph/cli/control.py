@@ -2,43 +2,35 @@
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from functools import partial
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from contactgraph.cli.options import (
     AUTO,
-    Clearance,
-    ControllerArgument,
-    Delay,
+    MOST_EPISODES,
+    BeliefOptions,
     Device,
-    Distractors,
-    Engine,
-    FalseAlarms,
-    FaultName,
-    Grasp,
-    HiddenSwitch,
-    Horizon,
-    Inference,
-    MetricNames,
-    Misses,
-    Objects,
-    OptionPairs,
     OutputFile,
     PlannerName,
-    Routes,
-    Segment,
-    Starts,
+    SceneOptions,
     TaskArgument,
+    check_range,
+    check_seed,
+    given_options,
+    options_metadata,
+    own_functions,
 )
+from contactgraph.data import Dataset, InvalidInputError, Trajectory, write_trajectories
+from contactgraph.data.lookup import load_object
 
 if TYPE_CHECKING:
-    from contactgraph.data import Dataset, Trajectory
+    import numpy as np
+
     from contactgraph.envs.contract import Policy, Task
-    from contactgraph.evaluate import OpenLoopMetrics
+    from contactgraph.model import ContactDynamics
     from contactgraph.policies import EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
@@ -67,64 +59,64 @@ class _Controller:
     policy: "Policy"
     settings: Mapping[str, Any]
     """By JSON key."""
-    drawn: "Callable[[str, Trajectory, EpisodeRecord | None], SceneTrajectory]"
+    model: "ContactDynamics | None" = None
     how: str = ""
     """One line on how it plans."""
-    predictor: "Callable[[Dataset], OpenLoopMetrics] | None" = None
-    """Measures predictions of executed episodes; None: it predicts nothing."""
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    """What corrects beliefs: arguments of `evaluate_open_loop`."""
 
 
 @dataclass(frozen=True)
-class Control:
+class Control(BeliefOptions, SceneOptions):
     """Control a task through contact by iLQR-MPC with a learned model, episode after episode.
 
     A scripted policy in the model's place (expert, fixed-start) is the baseline in the same scenes.
     """
 
-    model: ControllerArgument
+    model: Positional[Annotated[str, arg(metavar="MODEL")]]
+    """A run folder of train, a model file, a shipped model (door, franka, multi-pickup or pickup),
+    or module:factory@MODEL. In its place, expert is the task's scripted demonstrator, and
+    fixed-start its controller without model or search."""
     task: TaskArgument
     episodes: int = 100
     """Number of episodes."""
     seed: int = 0
     """Random seed; the same seed gives the same episodes."""
-    distractors: Distractors = 0
-    objects: Objects = None
-    grasp: Grasp = None
-    hidden_switch: HiddenSwitch = False
-    engine: Engine = None
-    radius: Annotated[float | None, arg(metavar="M", help_behavior_hint="(pickup: 0.04)")] = None
-    """Radius of every body of pickup, m."""
-    in_the_way: bool = False
-    """pickup: a straight way to the target and the goal touches two distractors or more."""
-    option: OptionPairs = ()
-    clearance: Clearance = None
+    clearance: Annotated[float | None, arg(metavar="M", help_behavior_hint="(may touch them)")] = (
+        None
+    )
+    """Gap to keep from bodies that the task does not name, m."""
     cost: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(the task's cost)")] = None
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
-    horizon: Horizon = None
+    horizon: Annotated[
+        int | None,
+        arg(metavar="INT", help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)"),
+    ] = None
+    """Planning horizon, steps."""
     iterations: int = 5
     """Rollouts of iLQR a plan, at most."""
-    starts: Starts = None
-    routes: Routes = None
-    segment: Segment = 0
+    starts: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(64 for pushing, else 0)")
+    ] = None
+    """Ways round a body to push it that each plan compares, twice; 0: none."""
+    routes: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(7 with --clearance, else 0)")
+    ] = None
+    """Routes to where the cost is least that each plan compares; 0: none."""
+    segment: int = 0
+    """Steps of the short plans by which a long plan begins, such as 20 for a --horizon of 200; 0:
+    none."""
     planner: PlannerName = None
     replan_every: int = 1
     """Steps between plans; the plan's feedback acts in between."""
     deadline_ms: Annotated[float | None, arg(metavar="MS", help_behavior_hint="(optional)")] = None
     """Time limit of a plan, ms; the previous plan replaces a later one."""
-    false_alarms: FalseAlarms = 0.0
-    misses: Misses = 0.0
-    delay: Delay = 0
-    fault: FaultName = None
     unmeasured: bool = False
     """Control without a contact sensor."""
     position_noise: Annotated[float, arg(metavar="M")] = 0.0
     """Standard deviation of the noise on every observed position, m."""
     velocity_noise: Annotated[float, arg(metavar="M/S")] = 0.0
     """Standard deviation of the noise on every observed velocity, m/s."""
-    ignore_motion: bool = False
-    """Correct the contact beliefs by measured contacts alone."""
-    inference: Inference = "filter"
-    metric: MetricNames = ()
     json: OutputFile = None
     """Write the measurements to this file."""
     video: OutputFile = None
@@ -138,38 +130,36 @@ class Control:
 
         Returns a function that gives the first episode, with its plans, a name to draw it under.
         """
-        from contactgraph.cli.control_output import not_planned, not_predicted, print_summary
+        from contactgraph.cli.control_output import NOT_PLANNED, NOT_PREDICTED, print_summary
         from contactgraph.cli.models import data_simulator
-        from contactgraph.cli.options import (
-            check_episodes,
-            check_seed,
-            given_options,
-            options_metadata,
-            own_functions,
-        )
         from contactgraph.cli.output import check_writable, progress, write_json
-        from contactgraph.data import Dataset, write_trajectories
         from contactgraph.envs.registry import task_factory
-        from contactgraph.evaluate import control_task
-        from contactgraph.viz import check_animation, write_animation
+        from contactgraph.evaluate import control_task, evaluate_open_loop
+        from contactgraph.viz import (
+            check_animation,
+            recorded_scene,
+            scene_trajectory,
+            write_animation,
+        )
 
         for path in (self.json, self.video, self.save):
             check_writable(path)
         if self.video is not None:
             check_animation(self.video)
-        check_episodes(self.episodes)
+        check_range("--episodes", self.episodes, 1, MOST_EPISODES)
         check_seed(self.seed)
         metrics = own_functions("--metric", self.metric)
         options = given_options(self)
         scripted = self.model in _SCRIPTED
         task = task_factory(self.task, options)()
         controller = self._script() if scripted else self._mpc(task)
-        first: list[EpisodeRecord | None] = []
+        plans: list[np.ndarray | None] = []  # of the first episode alone
         finished = itertools.count(1)
         with progress("controlling", self.episodes) as bar:
 
-            def on_episode(trajectory: "Trajectory", record: "EpisodeRecord | None") -> None:
-                first[:] = first or [record]
+            def on_episode(_: Trajectory, record: "EpisodeRecord | None") -> None:
+                if not plans:
+                    plans.append(None if record is None else record.plan)
                 bar.advance(next(finished))
 
             result = control_task(
@@ -180,20 +170,24 @@ class Control:
                 metrics=metrics,
                 on_episode=on_episode,
             )
-        trajectories, predicted = result.trajectories, not_predicted()
+        model, trajectories = controller.model, result.trajectories
+        predicted: Mapping[str, Any] = NOT_PREDICTED
         long = any(each.steps >= round(_PREDICTED_S / each.scene.dt) for each in trajectories)
-        if controller.predictor is not None and long:
-            predicted = controller.predictor(Dataset(tuple(trajectories))).to_json()
+        if model is not None and long:
+            executed = Dataset(tuple(trajectories))
+            predicted = evaluate_open_loop(model, executed, **controller.evidence).to_json()
         metadata = {**options_metadata(options), "task": self.task, "seed": self.seed}
 
         def drawn(name: str) -> "SceneTrajectory":
-            return controller.drawn(name, trajectories[0], first[0])
+            if model is None:
+                return recorded_scene(name, trajectories[0])
+            return scene_trajectory(model, name, trajectories[0], plans[0])
 
         if self.save is not None:
             write_trajectories(self.save, trajectories, metadata)
         if self.video is not None:
             write_animation(self.video, drawn(f"{self.task}, {self.distractors} distractors"))
-        measured = {**result.to_json(), **(not_planned() if scripted else {})}
+        measured = {**result.to_json(), **(NOT_PLANNED if scripted else {})}
         values = {**metadata, **controller.settings, **predicted, **measured}
         write_json(self.json, {"run": self.model, **values})
         if not scripted:
@@ -210,13 +204,8 @@ class Control:
     def _mpc(self, task: "Task") -> _Controller:
         """MPC with the model."""
         from contactgraph.cli.models import motion_evidence, stored_model, with_inference
-        from contactgraph.cli.options import check_range, sensor_fault
         from contactgraph.control import read_cost, searches
-        from contactgraph.data import InvalidInputError
-        from contactgraph.data.lookup import load_object
-        from contactgraph.evaluate import evaluate_open_loop
         from contactgraph.policies import ObservationNoise, planning, task_policy
-        from contactgraph.viz import scene_trajectory
 
         cost = None if self.cost is None else read_cost(self.cost)
         task.reset(seed=self.seed)
@@ -234,7 +223,7 @@ class Control:
         check_range("--routes", routes, 0, 1000)
         check_range("--segment", self.segment, 0, horizon)
         check_range("--clearance", clearance or 0, 0, 10)
-        fault = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, self.seed)
+        fault = self.sensor_fault(self.seed)
         if self.unmeasured and not fault.exact:
             raise InvalidInputError(
                 "--unmeasured: no contact is measured, so --false-alarms, --misses, --delay and "
@@ -286,18 +275,14 @@ class Control:
         return _Controller(
             policy,
             settings,
-            lambda name, trajectory, record: scene_trajectory(
-                model, name, trajectory, None if record is None else record.plan
-            ),
+            model,
             f"plans, {horizon} steps ahead".ljust(27) + f"{self.planner or search} ({reason})",
-            partial(evaluate_open_loop, model, faults=fault, motion_noise=by_motion),
+            {"faults": fault, "motion_noise": by_motion},
         )
 
     def _script(self) -> _Controller:
         """A scripted policy, which predicts, plans and estimates nothing."""
-        from contactgraph.data import InvalidInputError
         from contactgraph.envs.registry import task_spec
-        from contactgraph.viz import recorded_scene
 
         defaults = {each.name: each.default for each in fields(self)}
         names = (*_RECORDED, "deadline_ms", "ignore_motion")
@@ -310,8 +295,5 @@ class Control:
             )
         task = task_spec(self.task)
         fixed_start = self.model == "fixed-start" and task.fixed_start
-        return _Controller(
-            (fixed_start or task.demonstrator)(),
-            dict.fromkeys((*_RECORDED, "infer_contacts")),
-            lambda name, trajectory, _: recorded_scene(name, trajectory),
-        )
+        policy = (fixed_start or task.demonstrator)()
+        return _Controller(policy, dict.fromkeys((*_RECORDED, "infer_contacts")))

@@ -6,24 +6,22 @@ from typing import Any
 from contactgraph.evaluate import ClosedLoopMetrics, EstimatedContacts, PlanTrackingError
 
 _PREDICTIONS = ("n_step", "constant_velocity", "standing_still", "frozen_contact")
-_SCORES = ("precision", "recall", "f1", "accuracy")
-_PREDICTED = (
-    *(f"{name}_rmse{of}_m" for of in ("_moving", "", "_free", "_contact") for name in _PREDICTIONS),
-    *(f"edge_{score}" for score in _SCORES),
-    *("edge_f1_now", "switch_time_error_s", "verdict", "n_steps"),
+NOT_PREDICTED: Mapping[str, None] = dict.fromkeys(
+    (
+        *(
+            f"{name}_rmse{of}_m"
+            for of in ("_moving", "", "_free", "_contact")
+            for name in _PREDICTIONS
+        ),
+        *(f"edge_{score}" for score in ("precision", "recall", "f1", "accuracy")),
+        *("edge_f1_now", "switch_time_error_s", "verdict", "n_steps"),
+    )
 )
-"""Keys of the predictions of executed episodes, which need a model."""
-
-
-def not_predicted() -> dict[str, None]:
-    """The predictions of executed episodes, unknown."""
-    return dict.fromkeys(_PREDICTED)
-
-
-def not_planned() -> dict[str, None]:
-    """What is measured on plans and beliefs alone, unknown."""
-    parts: dict[str, Any] = {**PlanTrackingError().to_json(), **EstimatedContacts().to_json()}
-    return dict.fromkeys(parts)
+"""The predictions of executed episodes, which need a model."""
+NOT_PLANNED: Mapping[str, None] = dict.fromkeys(
+    (*PlanTrackingError().to_json(), *EstimatedContacts().to_json())
+)
+"""What is measured on plans and beliefs alone."""
 
 
 def print_summary(metrics: ClosedLoopMetrics, predicted: Mapping[str, Any]) -> None:

@@ -1,6 +1,7 @@
 """``contactgraph evaluate``: prediction errors of a model on recorded trajectories."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,25 +11,22 @@ from tyro.conf import Positional, arg
 
 from contactgraph.cli.options import (
     AUTO,
-    Delay,
+    BeliefOptions,
     Device,
-    FalseAlarms,
-    FaultName,
-    Inference,
-    MetricNames,
-    Misses,
     ModelArgument,
     OutputFile,
+    check_range,
+    own_functions,
 )
+from contactgraph.data import Dataset, InvalidInputError, read_trajectories, with_edge_labels
 
 if TYPE_CHECKING:
-    from contactgraph.data import Dataset
     from contactgraph.evaluate import OpenLoopMetrics, Predictor
     from contactgraph.model import ContactDynamics
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class Evaluate(BeliefOptions):
     """Predict recorded trajectories from every state, and measure the errors beside baselines."""
 
     model: ModelArgument
@@ -44,14 +42,6 @@ class Evaluate:
     baselines: Annotated[Path | None, arg(metavar="TRAIN", help_behavior_hint="(optional)")] = None
     """Dataset file to fit least squares and an interaction network to, for as long as the model's
     own training took."""
-    false_alarms: FalseAlarms = 0.0
-    misses: Misses = 0.0
-    delay: Delay = 0
-    fault: FaultName = None
-    ignore_motion: bool = False
-    """Correct beliefs by measured contacts alone."""
-    inference: Inference = "filter"
-    metric: MetricNames = ()
     prediction: Annotated[
         tuple[str, ...], arg(metavar="MODULE:FUNCTION ...", help_behavior_hint="(none)")
     ] = ()
@@ -78,9 +68,7 @@ class Evaluate:
             stored_model,
             with_inference,
         )
-        from contactgraph.cli.options import check_range, own_functions, sensor_fault
         from contactgraph.cli.output import check_writable, write_json
-        from contactgraph.data import InvalidInputError, read_trajectories, with_edge_labels
         from contactgraph.evaluate import (
             evaluate_open_loop,
             forced_windows,
@@ -93,7 +81,7 @@ class Evaluate:
         from contactgraph.model.io import describe_model
 
         check_writable(self.json)
-        faults = sensor_fault(self.fault, self.false_alarms, self.misses, self.delay, seed=0)
+        faults = self.sensor_fault()
         own_metrics = own_functions("--metric", self.metric)
         predictions = own_functions("--prediction", self.prediction)
         if taken := sorted(predictions.keys() & set(BASELINES)):
@@ -109,7 +97,8 @@ class Evaluate:
         if self.forced:
             task_of = partial(recorded_task, dataset)
             tested, episodes = forced_windows(dataset, task_of, steps, self.forced_every)
-        fitted, effort = self._fitted(model, dataset)
+        training = describe_model(model_path(self.model)).training
+        fitted, effort = self._fitted(model, dataset, training)
         metrics = evaluate_open_loop(
             model,
             tested,
@@ -136,7 +125,7 @@ class Evaluate:
             "inference": self.inference,
             "forced_every": self.forced_every if self.forced else None,
             "contact_distance_m": contact_distance(model),
-            "training_s": describe_model(model_path(self.model)).training.get("training_s"),
+            "training_s": training.get("training_s"),
             **metrics.to_json(),
             **effort,
             **{name: finite_or_none(value) for name, value in growth.items()},
@@ -163,19 +152,16 @@ class Evaluate:
             )
 
     def _fitted(
-        self, model: "ContactDynamics", test: "Dataset"
+        self, model: "ContactDynamics", test: Dataset, training: Mapping[str, Any]
     ) -> "tuple[dict[str, Predictor], dict[str, Any]]":
         """The baselines fitted to a dataset file, the network for as long as the model, and what
         that took, by their JSON keys; none without ``--baselines``."""
-        from contactgraph.cli.models import in_steps_of, model_path
-        from contactgraph.data import read_trajectories
+        from contactgraph.cli.models import in_steps_of
         from contactgraph.evaluate.network_fit import fit_baselines
-        from contactgraph.model.io import describe_model
 
         if self.baselines is None:
             return {}, {}
         train = in_steps_of(model, read_trajectories(self.baselines), str(self.baselines))
-        training = describe_model(model_path(self.model)).training
         took, made = training.get("training_s"), training.get("step")
         seconds = float(took) if isinstance(took, int | float) and took > 0 else _TRAINING_S
         steps = made if isinstance(made, int) and made > 0 else _TRAINING_STEPS
@@ -208,18 +194,25 @@ _TEXTS = {
 }
 """Of the predictions, in the order of their table; others stand below by their names."""
 _CONTACTS = {"": "measured", "_unmeasured": "not measured", "_inferred": "inferred from motion"}
-_AHEAD = {"": "one step ahead", "_ahead": "at the end of the window"}
+_FURTHER = (
+    ("error of all bodies where a contact changes", "n_step_rmse_contact_m", 100.0, "cm"),
+    ("error of the start of contact, mean", "switch_time_error_s", 1000.0, "ms"),
+    ("angles of bodies that turn", "angle_rmse_rad", 1.0, "rad"),
+    ("angles by constant velocity", "constant_velocity_angle_rmse_rad", 1.0, "rad"),
+    ("as many bodies as recorded turn over, of windows", "turned_over_accuracy", 100.0, "%"),
+    ("largest error where nothing moves", "rest_drift_m", 1000.0, "mm"),
+    ("largest gap of a pin", "pin_drift_m", 1000.0, "mm"),
+    ("masses after one contact, median error", "mass_error_median", 100.0, "%"),
+    ("masses after one contact, 90 % quantile", "mass_error_p90", 100.0, "%"),
+    ("masses within their 90 % interval", "mass_interval_coverage", 100.0, "%"),
+)
+"""Lines of the summary, of numbers that are known: text, JSON key, factor and unit."""
 
 
 def _print_summary(values: dict[str, Any], metrics: "OpenLoopMetrics") -> None:
     from contactgraph.evaluate.metrics import json_key
 
     texts = {**_TEXTS, **{name: name for name in metrics.predictions if name not in _TEXTS}}
-    contacts = {
-        beliefs: text
-        for beliefs, text in _CONTACTS.items()
-        if beliefs != "_inferred" or values["infer_contacts"]
-    }
 
     def centimetres(value: float | None) -> str:
         return "unknown" if value is None else f"{100 * value:.3f} cm"
@@ -243,45 +236,25 @@ def _print_summary(values: dict[str, Any], metrics: "OpenLoopMetrics") -> None:
     if metrics.unbeaten:
         worse = ", ".join(text for name, text in texts.items() if name in metrics.unbeaten)
         print(f"  by the error of bodies that move it is not better than {worse}")
-    for beliefs, text in contacts.items():
-        keys = [f"n_step_{each}_moving{beliefs}_m" for each in ("rmse_interval", "mean")]
-        if values.get(keys[1]) is not None:
-            low, high = (f"{100 * each:.3f}" for each in values[keys[0]])
-            print(
-                f"bodies that move, contacts {text}: {low} to {high} cm in 95 % of resampled "
-                f"episodes; mean of the windows' errors {100 * values[keys[1]]:.3f} cm"
+    for beliefs, text in _CONTACTS.items():
+        if beliefs == "_inferred" and not values["infer_contacts"]:
+            continue
+        print(f"contacts {text}:")
+        if (mean := values.get(f"n_step_mean_moving{beliefs}_m")) is not None:
+            low, high = (
+                f"{100 * each:.3f}" for each in values[f"n_step_rmse_interval_moving{beliefs}_m"]
             )
-    print(f"where a contact changes, all bodies: {centimetres(values['n_step_rmse_contact_m'])}")
-    if (angle := values["angle_rmse_rad"]) is not None:
-        constant = values["constant_velocity_angle_rmse_rad"]
-        print(f"angles of bodies that turn: {angle:.3f} rad; constant velocity {constant:.3f}")
-    if (over := values["turned_over_accuracy"]) is not None:
-        print(f"as many bodies as recorded turn over: in {100 * over:.1f} % of the windows")
-    if (drift := values["rest_drift_m"]) is not None:
-        print(f"where nothing moves, the largest error: {1000 * drift:.3f} mm")
-    if (drift := values["pin_drift_m"]) is not None:
-        print(f"pins come apart by at most {1000 * drift:.3f} mm")
-    for beliefs, text in contacts.items():
+            print(
+                f"  bodies that move: {low} to {high} cm in 95 % of resampled episodes; mean of "
+                f"the windows' errors {100 * mean:.3f} cm"
+            )
         now, coming = score(f"edge_f1_now{beliefs}"), score(f"edge_f1{beliefs}")
-        print(f"edges, contacts {text}: F1 {now} (step just made), {coming} (steps to come)")
-    for ahead, text in _AHEAD.items():
-        errors = ", ".join(
-            f"{score(f'calibration_error{ahead}{beliefs}')} ({name})"
-            for beliefs, name in contacts.items()
-        )
-        print(f"calibration error of beliefs {text}: {errors}")
-    switch = values["switch_time_error_s"]
-    error = "unknown" if switch is None else f"{1000 * switch:.1f} ms, mean"
-    print(f"error of the start of contact: {error}")
-    if values["mass_error_median"] is not None:
-        median, high, covered = (
-            f"{100 * values[f'mass_{name}']:.1f} %"
-            for name in ("error_median", "error_p90", "interval_coverage")
-        )
-        print(
-            f"masses after one contact: error {median} (median), {high} (90 % quantile); "
-            f"{covered} within their 90 % interval"
-        )
+        print(f"  edges: F1 {now} (step just made), {coming} (steps to come)")
+        next_step, last = (score(f"calibration_error{each}{beliefs}") for each in ("", "_ahead"))
+        print(f"  calibration error: {next_step} (next step), {last} (end of the window)")
+    for text, name, factor, unit in _FURTHER:
+        if values[name] is not None:
+            print(f"{text}: {factor * values[name]:.3f} {unit}")
 
 
 def _times(growth: float) -> str:

@@ -1,15 +1,18 @@
 """``contactgraph info``: the contents of a file or folder, or the shipped models and the tasks."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from contactgraph.data import Dataset, InvalidInputError, read_trajectories
+from contactgraph.data.schema import given_fields
+
 if TYPE_CHECKING:
     from contactgraph.control import LearnedCost
-    from contactgraph.data import Dataset
 
 _LAST_STEPS = 50
 """Steps whose mean is the final imitation loss: each step sees other windows."""
@@ -26,7 +29,6 @@ class Info:
 
     def run(self) -> None:
         """Print the description."""
-        from contactgraph.data import InvalidInputError
         from contactgraph.model import shipped_models
 
         if self.file is None:
@@ -48,7 +50,6 @@ class Info:
 
 
 def _print_names() -> None:
-    from contactgraph.data import InvalidInputError
     from contactgraph.envs.registry import task_factory, task_names, task_spec
     from contactgraph.model import shipped_model, shipped_models
     from contactgraph.model.io import describe_model
@@ -75,25 +76,20 @@ def _print_run_folder(path: Path) -> None:
     from contactgraph.train import RunFolder
 
     folder = RunFolder(path)
-    config, rows = folder.config(), folder.metrics()
-    print(f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}")
-    print(f"  data        {config.get('data')}")
-    if rows:
-        print(
-            f"  trained     {rows[-1]['step']:.0f} of {config.get('steps')} steps "
-            f"in {rows[-1]['seconds']:.0f} s"
+    config, checks = folder.config(), folder.metrics()
+    rows = {"data": config.get("data"), "trained": "no checkpoint yet"}
+    if checks:
+        best, last = min(each["held_out_rmse_m"] for each in checks), checks[-1]
+        rows["trained"] = (
+            f"{last['step']:.0f} of {config.get('steps')} steps in {last['seconds']:.0f} s"
         )
-        best = min(row["held_out_rmse_m"] for row in rows)
-        print(f"  held-out    {100 * best:.3f} cm, last {100 * rows[-1]['held_out_rmse_m']:.3f} cm")
-    else:
-        print("  trained     no checkpoint yet")
-    for checkpoint in folder.checkpoints():
-        print(f"  checkpoint  {checkpoint.name}")
+        rows["held-out"] = f"{100 * best:.3f} cm, last {100 * last['held_out_rmse_m']:.3f} cm"
+    title = f"{path}: run folder, {config.get('model')}, seed {config.get('seed')}"
+    _print(title, {**rows, "checkpoints": ", ".join(each.name for each in folder.checkpoints())})
 
 
 def _print_model(name: str) -> None:
     from contactgraph.cli.models import contact_distance_text, model_path, stored_model
-    from contactgraph.data import InvalidInputError
     from contactgraph.model.io import describe_model
 
     summary = describe_model(model_path(name))
@@ -101,14 +97,15 @@ def _print_model(name: str) -> None:
         distance = contact_distance_text(stored_model(name))
     except InvalidInputError as error:  # parts of the user's own, without their preset
         distance = f"unknown ({error})"
-    print(f"{name}: model, {summary.parameter_count} parameters, {summary.size} bytes")
     config = summary.config
-    print(f"  preset              {summary.preset}")
-    print(f"  degrees of freedom  {config.dimension} a node, control {config.control_size}")
-    print(f"  dt                  {config.dt} s")
-    print(f"  contact distance    {distance}")
-    for key, value in summary.training.items():
-        print(f"  {key:<19} {_text(value)}")
+    rows = {
+        "preset": summary.preset,
+        "degrees of freedom": f"{config.dimension} a node, control {config.control_size}",
+        "dt": f"{config.dt} s",
+        "contact distance": distance,
+    }
+    title = f"{name}: model, {summary.parameter_count} parameters, {summary.size} bytes"
+    _print(title, {**rows, **summary.training})
 
 
 def _print_cost(path: Path) -> None:
@@ -117,13 +114,13 @@ def _print_cost(path: Path) -> None:
     summary = describe_cost(path)
     cost = summary.cost
     goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
-    print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}")
-    print(f"  degrees of freedom  {len(cost.goal)} a node, control {len(cost.R)}")
-    print(f"  goal                {goal} m; control takes the scene's")
-    for line in cost_lines(cost):
-        print(f"  {line}")
-    for name, value in summary.made.items():
-        print(f"  {name:<22}{_text(value)}")
+    rows = {
+        "degrees of freedom": f"{len(cost.goal)} a node, control {len(cost.R)}",
+        "goal": f"{goal} m; control takes the scene's",
+        **summary.made,
+    }
+    _print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}", rows)
+    print("\n".join(cost_lines(cost)))
 
 
 def cost_lines(cost: "LearnedCost") -> list[str]:
@@ -155,13 +152,10 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
 
 
 def _print_dataset(path: Path) -> None:
-    from contactgraph.data import read_trajectories
-    from contactgraph.data.schema import given_fields
     from contactgraph.interchange.motion import body_motions, motion_warnings
 
     dataset = read_trajectories(path)
     scenes = [each.scene for each in dataset]
-    print(f"{path}: dataset, {len(dataset)} trajectories, {path.stat().st_size} bytes")
     nodes = [scene.node_count for scene in scenes]
     kinds = " or ".join(
         sorted({", ".join(each.control_kind) for each in scenes if each.control_kind})
@@ -179,20 +173,16 @@ def _print_dataset(path: Path) -> None:
         },
         "static": _span(static),
         **_actuation(dataset),
-        **{name: _text(value) for name, value in dataset.metadata.items()},
+        **dataset.metadata,
     }
-    for name, text in rows.items():
-        print(f"  {name:<11} {text}")
+    _print(f"{path}: dataset, {len(dataset)} trajectories, {path.stat().st_size} bytes", rows)
     motions = body_motions(dataset)
-    for each in motions:
+    for each in (*motions, *motion_warnings(motions)):
         print(f"  {each}")
-    for warning in motion_warnings(motions):
-        print(f"  {warning}")
 
 
-def _actuation(dataset: "Dataset") -> dict[str, str]:
+def _actuation(dataset: Dataset) -> dict[str, str]:
     """A row that says how the control drives each actuated type; none without a control."""
-    from contactgraph.data import InvalidInputError
     from contactgraph.identify import identify
 
     try:
@@ -207,5 +197,8 @@ def _span(values: Any) -> str:
     return str(low) if low == high else f"{low} to {high}"
 
 
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+def _print(title: str, rows: Mapping[str, Any]) -> None:
+    """A title, and below it a line for each value by its name."""
+    print(title)
+    for name, value in rows.items():
+        print(f"  {name:<19} {value if isinstance(value, str) else json.dumps(value)}")

@@ -1,10 +1,14 @@
 """``contactgraph import`` and ``contactgraph export``: datasets from and to other formats."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
+
+from contactgraph.data import Dataset, InvalidInputError, read_trajectories, write_trajectories
+from contactgraph.data.lookup import choice
 
 FORMATS = ("minari", "lerobot", "csv", "rosbag", "robomimic")
 
@@ -31,12 +35,7 @@ class Import:
 
     def run(self) -> None:
         """Read, convert and write."""
-        import sys
-
         from contactgraph.cli.output import check_writable
-        from contactgraph.data import Dataset, InvalidInputError
-        from contactgraph.data import write_trajectories as write
-        from contactgraph.data.lookup import choice
         from contactgraph.interchange import (
             read_map,
             shipped_maps,
@@ -83,7 +82,7 @@ class Import:
         hint = " missing = 0 in [[body]] leaves zeros out, and max_speed refuses more"
         for warning in motion_warnings(motions, hint):
             print(f"warning: {warning}", file=sys.stderr)
-        write(self.out, dataset.trajectories, dataset.metadata)
+        write_trajectories(self.out, dataset.trajectories, dataset.metadata)
         steps = sum(each.steps for each in dataset)
         names = ", ".join(dataset.trajectories[0].scene.node_name)
         print(f"{self.out}: {len(dataset)} trajectories of {names}")
@@ -105,8 +104,6 @@ class Export:
 
     def run(self) -> None:
         """Read and write."""
-        from contactgraph.data import read_trajectories
-        from contactgraph.data.lookup import choice
         from contactgraph.interchange.csv_table import write_csv
         from contactgraph.interchange.export_layout import export_layout
         from contactgraph.interchange.lerobot import write_lerobot

@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, Device, ModelArgument
+from contactgraph.cli.options import (
+    AUTO,
+    Device,
+    ModelArgument,
+    check_range,
+    check_seed,
+    check_weight,
+)
+from contactgraph.data import Dataset, InvalidInputError, read_trajectories
 
 if TYPE_CHECKING:
-    from contactgraph.data import Dataset
     from contactgraph.envs.registry import TaskSpec
 
 
@@ -54,7 +61,6 @@ class LearnCost:
 
         from contactgraph.cli.info import cost_lines
         from contactgraph.cli.models import in_steps_of, model_path, stored_model
-        from contactgraph.cli.options import check_range, check_seed, check_weight
         from contactgraph.cli.output import (
             check_suffix,
             check_writable,
@@ -63,7 +69,6 @@ class LearnCost:
             sha256,
         )
         from contactgraph.control import ControlLimits, CostLearningConfig, learn_cost, write_cost
-        from contactgraph.data import InvalidInputError
 
         check_suffix("--out", self.out, ".json")
         check_writable(self.out)
@@ -127,10 +132,8 @@ class LearnCost:
         many = f"{len(dataset)} demonstrations" if len(dataset) > 1 else "1 demonstration"
         print(f"{self.out}: learned from {many} in {seconds:.1f} s")
 
-    def _dataset(self) -> "Dataset":
+    def _dataset(self) -> Dataset:
         """The demonstrations, checked as far as that needs no model."""
-        from contactgraph.data import Dataset, InvalidInputError, read_trajectories
-
         dataset = read_trajectories(self.demonstrations)
         if self.goal is not None:
             goal = " ".join(f"{number:g}" for number in self.goal)
@@ -148,7 +151,7 @@ class LearnCost:
         return Dataset(dataset.trajectories[: self.runs], dataset.metadata)
 
 
-def _task_of(dataset: "Dataset") -> "TaskSpec | None":
+def _task_of(dataset: Dataset) -> "TaskSpec | None":
     """The task that the dataset names. A file does not get to import a class: names only."""
     from contactgraph.envs.registry import task_names, task_spec
 

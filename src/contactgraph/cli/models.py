@@ -1,19 +1,15 @@
 """Models by name: presets to train, and model files."""
 
 import dataclasses
-import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from contactgraph.bodies.graph import first_where, usual_edge_types
-from contactgraph.cli.options import TEMPERATURE
+from contactgraph.bodies.graph import first_where
 from contactgraph.data import Dataset, InvalidInputError, subsample
 from contactgraph.data.lookup import choice, load_object
-from contactgraph.identify import Facts, identify, relation_facts, scene_facts
+from contactgraph.identify import Facts
 from contactgraph.model import (
-    PAPER_PRESETS,
     PRESETS,
     ContactDynamics,
     ContactSensor,
@@ -126,26 +122,6 @@ def with_inference(model: ContactDynamics, name: str) -> ContactDynamics:
     return dataclasses.replace(model, inference=PriorEdges(types, active_type))
 
 
-def paper_options(model: str, graph: str, sampling: str, temperature: float) -> dict[str, Any]:
-    """Fields of `ModelConfig` by the flags of `train` for the paper's forms.
-
-    Raises `InvalidInputError` where another model is given one, or a temperature is not positive.
-    """
-    if not 0.0 < temperature < math.inf:
-        raise InvalidInputError(f"--temperature must be positive, found {temperature}")
-    star = choice("--graph", graph, {"full": False, "star": True})
-    gumbel = choice("--sampling", sampling, {"likeliest": False, "gumbel": True})
-    asked = {
-        "--graph": star,
-        "--sampling": gumbel,
-        "--temperature": temperature != TEMPERATURE,
-    }
-    if model not in PAPER_PRESETS and ":" not in model and any(asked.values()):
-        flags = " and ".join(flag for flag, given in asked.items() if given)
-        raise InvalidInputError(f"{flags}: only the paper's forms have this, not {model}")
-    return {"star": star, "gumbel": gumbel, "temperature": temperature}
-
-
 def contact_distance_text(model: ContactDynamics) -> str:
     """The distance of touching bodies' centres that the model assumes, for users."""
     distance = contact_distance(model)
@@ -204,43 +180,6 @@ def in_steps_of(model: object, dataset: Dataset, name: str) -> Dataset:
         return dataset
     print(f"{name}: every {every}th step is taken, since the model's are {dt:g} s long")
     return subsample(dataset, every)
-
-
-def check_edge_types(model: str, edge_types: int | None) -> None:
-    """Raises `InvalidInputError` where a model of this name has no number of types to choose."""
-    if edge_types is not None and model not in ("ours", "relations") and ":" not in model:
-        raise InvalidInputError(
-            f"--edge-types: {model} has no types to choose; it is for ours and relations, "
-            f"found {edge_types}"
-        )
-
-
-def facts_for(
-    dataset: Dataset,
-    model: str,
-    contact_distance: float | None,
-    edge_types: int | None,
-    rollout_from: float | None,
-    paper: Mapping[str, Any],
-) -> Facts:
-    """Facts for a model by its name, with the options that are not None, and with ``paper``, fields
-    of `ModelConfig` for the paper's forms.
-
-    Raises `InvalidInputError` where data and options do not fit.
-    """
-    if model.startswith("ours") and model != "ours-full-ab":
-        facts = identify(dataset, contact_distance)
-    else:
-        facts = relation_facts(dataset) if model == "relations" else scene_facts(dataset)
-        if facts.config.hinges and model == "relations":
-            raise InvalidInputError("--model relations: it has no hinges, but some bodies have")
-        if contact_distance is not None:
-            facts = facts.with_contact_distance(contact_distance)
-    config = dataclasses.replace(facts.config, **paper)
-    if edge_types is not None:
-        config = dataclasses.replace(config, edge_types=usual_edge_types(edge_types))
-    from_share = facts.rollout_from if rollout_from is None else rollout_from
-    return dataclasses.replace(facts, config=config, rollout_from=from_share)
 
 
 def facts_text(model: str, facts: Facts) -> str:

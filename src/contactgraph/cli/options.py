@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from operator import ne
 from pathlib import Path
@@ -22,10 +22,10 @@ from contactgraph.parallel import Executor, LocalExecutor
 if TYPE_CHECKING:
     from contactgraph.policies import SensorFault
 
+MOST_EPISODES = 100_000
+"""More do not fit into memory."""
 AUTO = "auto"
 """In place of a model's name: chosen by the data."""
-TEMPERATURE = 0.15
-"""See `contactgraph.model.ModelConfig.temperature`."""
 
 ModelArgument = Positional[
     Annotated[
@@ -34,17 +34,6 @@ ModelArgument = Positional[
             metavar="MODEL",
             help="A run folder of train, a model file, or a shipped model: door, franka, "
             "multi-pickup or pickup. module:factory@MODEL is a model with parts of your own.",
-        ),
-    ]
-]
-ControllerArgument = Positional[
-    Annotated[
-        str,
-        arg(
-            metavar="MODEL",
-            help="A run folder of train, a model file, a shipped model (door, franka, multi-pickup "
-            "or pickup), or module:factory@MODEL. In its place, expert is the task's scripted "
-            "demonstrator, and fixed-start its controller without model or search.",
         ),
     ]
 ]
@@ -58,26 +47,6 @@ TaskArgument = Positional[
         ),
     ]
 ]
-Distractors = Annotated[
-    int,
-    arg(
-        help="Further bodies: pickups, suction, release, delay, sticky, look-alikes and "
-        "unknown-mass 0 to 20, door 0 to 10, franka 0 to 5."
-    ),
-]
-Objects = Annotated[
-    int | None,
-    arg(
-        metavar="INT",
-        help="Objects to pick up, 1 to 5, to try, 2 to 5, or to strike, 1 to 8, for tasks with a "
-        "choice.",
-        help_behavior_hint="(multi-pickup: 2, sticky: 3, billiards: 3)",
-    ),
-]
-HiddenSwitch = Annotated[
-    bool,
-    arg(help="suction: a random process that nothing records operates the switch."),
-]
 OptionPairs = Annotated[
     tuple[str, ...],
     arg(
@@ -88,89 +57,6 @@ OptionPairs = Annotated[
     ),
     UseAppendAction,
 ]
-Engine = Annotated[
-    str | None,
-    arg(
-        metavar="NAME",
-        help="Physics of planar tasks: box2d or pymunk.",
-        help_behavior_hint="(the first that is installed)",
-    ),
-]
-Grasp = Annotated[
-    str | None,
-    arg(
-        metavar="NAME",
-        help="Contact model of the fingers, for tasks with fingers: friction or weld.",
-        help_behavior_hint="(franka: friction)",
-    ),
-]
-FalseAlarms = Annotated[
-    float,
-    arg(
-        metavar="RATE",
-        help="Share of free edges that the contact sensor reports as touching, at every step.",
-    ),
-]
-Misses = Annotated[
-    float,
-    arg(metavar="RATE", help="Share of touching edges that the contact sensor reports as free."),
-]
-FaultName = Annotated[
-    str | None,
-    arg(
-        metavar="MODULE:CLASS",
-        help="A faulty contact sensor of your own, a class of SensorFault.",
-        help_behavior_hint="(none)",
-    ),
-]
-MetricNames = Annotated[
-    tuple[str, ...],
-    arg(
-        metavar="MODULE:FUNCTION ...",
-        help="Metrics of your own, added under the functions' names.",
-        help_behavior_hint="(none)",
-    ),
-]
-Delay = Annotated[int, arg(metavar="STEPS", help="Delay of the contact sensor, steps.")]
-Horizon = Annotated[
-    int | None,
-    arg(
-        metavar="INT",
-        help="Planning horizon, steps.",
-        help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)",
-    ),
-]
-Starts = Annotated[
-    int | None,
-    arg(
-        metavar="INT",
-        help="Ways round a body to push it that each plan compares, twice; 0: none.",
-        help_behavior_hint="(64 for pushing, else 0)",
-    ),
-]
-Routes = Annotated[
-    int | None,
-    arg(
-        metavar="INT",
-        help="Routes to where the cost is least that each plan compares; 0: none.",
-        help_behavior_hint="(7 with --clearance, else 0)",
-    ),
-]
-Segment = Annotated[
-    int,
-    arg(
-        help="Steps of the short plans by which a long plan begins, such as 20 for a --horizon of "
-        "200; 0: none."
-    ),
-]
-Clearance = Annotated[
-    float | None,
-    arg(
-        metavar="M",
-        help="Gap to keep from bodies that the task does not name, m.",
-        help_behavior_hint="(may touch them)",
-    ),
-]
 PlannerName = Annotated[
     str | None,
     arg(
@@ -180,25 +66,88 @@ PlannerName = Annotated[
         help_behavior_hint="(iLQR)",
     ),
 ]
-Inference = Annotated[
+OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
+Device = Annotated[
     str,
     arg(
         metavar="NAME",
-        help="Inference of edges: filter, the model's own, or an ablation: prior-touch or "
-        "prior-hold, the geometric prior alone, of edges that touch or that hold; or none, without "
-        "edges.",
+        help="auto or cpu: the CPU, which is faster for all that this command does; gpu: the first "
+        "accelerator that JAX finds. JAX_PLATFORMS, where it is set, decides for auto.",
     ),
 ]
-OutputFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """The scenes of a task, for commands that run it."""
+
+    distractors: int = 0
+    """Further bodies: door 0 to 10, franka 0 to 5, other tasks with a choice 0 to 20."""
+    objects: Annotated[
+        int | None,
+        arg(metavar="INT", help_behavior_hint="(multi-pickup: 2, sticky: 3, billiards: 3)"),
+    ] = None
+    """Objects to pick up, 1 to 5, to try, 2 to 5, or to strike, 1 to 8, for tasks with a choice."""
+    hidden_switch: bool = False
+    """suction: a random process that nothing records operates the switch."""
+    engine: Annotated[
+        str | None, arg(metavar="NAME", help_behavior_hint="(the first that is installed)")
+    ] = None
+    """Physics of planar tasks: box2d or pymunk."""
+    option: OptionPairs = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeliefOptions:
+    """The contact sensor and the inference, for commands that measure a model."""
+
+    false_alarms: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of free edges that the contact sensor reports as touching, at every step."""
+    misses: Annotated[float, arg(metavar="RATE")] = 0.0
+    """Share of touching edges that the contact sensor reports as free."""
+    delay: Annotated[int, arg(metavar="STEPS")] = 0
+    """Delay of the contact sensor, steps."""
+    fault: Annotated[str | None, arg(metavar="MODULE:CLASS", help_behavior_hint="(none)")] = None
+    """A faulty contact sensor of your own, a class of SensorFault."""
+    ignore_motion: bool = False
+    """Correct the contact beliefs by measured contacts alone."""
+    inference: Annotated[str, arg(metavar="NAME")] = "filter"
+    """Inference of edges: filter, the model's own, or an ablation: prior-touch or prior-hold, the
+    geometric prior alone, of edges that touch or that hold; or none, without edges."""
+    metric: Annotated[
+        tuple[str, ...], arg(metavar="MODULE:FUNCTION ...", help_behavior_hint="(none)")
+    ] = ()
+    """Metrics of your own, added under the functions' names."""
+
+    def sensor_fault(self, seed: int = 0) -> "SensorFault":
+        """The contact sensor that the flags describe; raises `InvalidInputError` for wrong
+        values."""
+        from contactgraph.policies import SensorFault, SensorFaults
+
+        for flag, rate in (("--false-alarms", self.false_alarms), ("--misses", self.misses)):
+            if not 0.0 <= rate < 1.0:
+                raise InvalidInputError(f"{flag} must be a share from 0 to below 1, found {rate}")
+        check_range("--delay", self.delay, 0, 1000)
+        faults = SensorFaults(self.false_alarms, self.misses, self.delay, seed)
+        if self.fault is None:
+            return faults
+        if not faults.exact:
+            raise InvalidInputError(
+                "--fault: it errs alone, so --false-alarms, --misses and --delay must be left out"
+            )
+        own = load_object("--fault", self.fault)()
+        if not isinstance(own, SensorFault):
+            raise InvalidInputError(
+                f"--fault {self.fault}: must be a class of SensorFault, found {own!r}"
+            )
+        return own
+
 
 _LARGEST_SEED = 2**32 - 1
 """Random keys are made of 32 bits: a larger seed would give the numbers of a smaller one."""
 
 
-FLAGS = (
-    *("distractors", "objects", "grasp", "radius", "passive", "hidden_switch"),
-    *("in_the_way", "engine"),
-)
+FLAGS = ("distractors", "objects", "passive", "hidden_switch", "engine")
 """Options of tasks that are flags of the commands; ``fixed_seed`` is ``--goal fixed``."""
 _TEXT = re.compile(r"[A-Za-z_./][\w./:+ -]*")
 """Text that needs no quotes of its own in a value of ``--option``: a shell takes quotes away."""
@@ -267,44 +216,10 @@ def check_seed(seed: int) -> None:
     check_range("--seed", seed, 0, _LARGEST_SEED)
 
 
-def check_episodes(episodes: int) -> None:
-    """Raises `InvalidInputError` for no episodes, or more than fit into memory."""
-    check_range("--episodes", episodes, 1, 100_000)
-
-
 def check_weight(flag: str, weight: float) -> None:
     """Raises `InvalidInputError` for a weight that is negative or not finite."""
     if not (weight >= 0 and math.isfinite(weight)):
         raise InvalidInputError(f"{flag} must be a number of at least 0, found {weight}")
-
-
-def check_share(flag: str, share: float) -> None:
-    """Raises `InvalidInputError` for a share outside 0 to 1."""
-    if not 0.0 <= share <= 1.0:
-        raise InvalidInputError(f"{flag} must be 0 to 1, found {share}")
-
-
-def sensor_fault(
-    name: str | None, false_alarms: float, misses: float, delay: int, seed: int
-) -> "SensorFault":
-    """The contact sensor that the flags describe; raises `InvalidInputError` for wrong values."""
-    from contactgraph.policies import SensorFault, SensorFaults
-
-    for flag, rate in (("--false-alarms", false_alarms), ("--misses", misses)):
-        if not 0.0 <= rate < 1.0:
-            raise InvalidInputError(f"{flag} must be a share from 0 to below 1, found {rate}")
-    check_range("--delay", delay, 0, 1000)
-    faults = SensorFaults(false_alarms, misses, delay, seed)
-    if name is None:
-        return faults
-    if not faults.exact:
-        raise InvalidInputError(
-            "--fault: it errs alone, so --false-alarms, --misses and --delay must be left out"
-        )
-    own = load_object("--fault", name)()
-    if not isinstance(own, SensorFault):
-        raise InvalidInputError(f"--fault {name}: must be a class of SensorFault, found {own!r}")
-    return own
 
 
 def own_functions(flag: str, names: tuple[str, ...]) -> dict[str, Callable[..., Any]]:
@@ -314,24 +229,6 @@ def own_functions(flag: str, names: tuple[str, ...]) -> dict[str, Callable[..., 
         if not callable(function):
             raise InvalidInputError(f"{flag} {name}: must be a function, found {function!r}")
     return found
-
-
-def device_count(batch_size: int) -> int:
-    """The devices of this machine that share a batch: the most that divide it."""
-    import jax
-
-    there = jax.local_device_count()
-    return max(count for count in range(1, there + 1) if batch_size % count == 0)
-
-
-Device = Annotated[
-    str,
-    arg(
-        metavar="NAME",
-        help="auto or cpu: the CPU, which is faster for all that this command does; gpu: the first "
-        "accelerator that JAX finds. JAX_PLATFORMS, where it is set, decides for auto.",
-    ),
-]
 
 
 def use_device(name: str) -> None:

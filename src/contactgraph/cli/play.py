@@ -9,14 +9,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, Device, OptionPairs, OutputFile, PlannerName
+from contactgraph.cli.options import (
+    AUTO,
+    Device,
+    ModelArgument,
+    OptionPairs,
+    OutputFile,
+    PlannerName,
+    check_range,
+    check_seed,
+    given_options,
+)
+from contactgraph.data import InvalidInputError
+from contactgraph.data.lookup import load_object
 
 if TYPE_CHECKING:
     from contactgraph.play import StageChoice, StageParts
     from contactgraph.policies import PlannerFactory
-
-_BY_NAME = ("pickup", "multi-pickup", "door", "franka")
-"""Tasks with a shipped model of their name."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +35,7 @@ class Play:
     The page is served on this machine alone, until Ctrl-C.
     """
 
-    model: Positional[
-        Annotated[
-            str,
-            arg(
-                metavar="MODEL",
-                help="A run folder of train, a model file, or a shipped model: door, franka, "
-                "multi-pickup or pickup.",
-            ),
-        ]
-    ] = "pickup"
+    model: ModelArgument = "pickup"
     task: Positional[
         Annotated[
             str | None,
@@ -62,10 +62,7 @@ class Play:
         import asyncio
         import webbrowser
 
-        from contactgraph.cli.options import check_range, check_seed, given_options
         from contactgraph.cli.output import check_writable
-        from contactgraph.data import InvalidInputError
-        from contactgraph.data.lookup import load_object
         from contactgraph.envs.registry import SHIPPED, task_factory, task_names, task_spec
         from contactgraph.model import shipped_models
         from contactgraph.play import Session, StageChoice
@@ -77,14 +74,13 @@ class Play:
         task = self.task
         if task is None:
             task = self.model
-            if task not in _BY_NAME:
+            if task not in shipped_models():
                 raise InvalidInputError(
                     f"{self.model}: name the task too; only shipped models have one of their name"
                 )
         models = dict.fromkeys((self.model, *shipped_models()))
-        others = [name for name in task_names() if name not in SHIPPED]
-        driven = [*(name for name in SHIPPED if not task_spec(name).passive), *others]
-        tasks = dict.fromkeys((task, *driven))
+        passive = {name for name in SHIPPED if task_spec(name).passive}
+        tasks = dict.fromkeys((task, *(name for name in task_names() if name not in passive)))
         choice = StageChoice(self.model, task, self.distractors)
         planner = None if self.planner is None else load_object("--planner", self.planner)
         options = given_options(self)

@@ -8,9 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import AUTO, TEMPERATURE, Device
+from contactgraph.cli import CommandError
+from contactgraph.cli.options import AUTO, Device, check_range, check_seed, check_weight
+from contactgraph.data import (
+    Dataset,
+    InvalidInputError,
+    check_window_length,
+    read_trajectories,
+    split_by_trajectory,
+    subsample,
+    without_turns,
+)
+from contactgraph.data.lookup import choice
 
 if TYPE_CHECKING:
+    from contactgraph.identify import Facts
     from contactgraph.model import ContactSensor
     from contactgraph.train import HeldOutBaselines
 
@@ -40,7 +52,7 @@ class Train:
     """Edges of the paper's forms: full, or star, those of actuated bodies alone."""
     sampling: Annotated[str, arg(metavar="NAME")] = "likeliest"
     """Edges of the paper's forms in training: likeliest, or gumbel, drawn by their probability."""
-    temperature: float = TEMPERATURE
+    temperature: float = 0.15
     """Divides the recurrent state of the paper's forms; at 1, as the paper's, none is certain."""
     every: Annotated[int, arg(metavar="N")] = 1
     """Use every N-th step of the trajectories, with the mean of the controls in between."""
@@ -90,37 +102,18 @@ class Train:
         """Train, saving checkpoints on the way."""
         import jax
 
-        from contactgraph.cli import CommandError
         from contactgraph.cli.models import (
-            check_edge_types,
             contact_distance_text,
-            facts_for,
             facts_text,
             held_out_text,
             model_preset,
-            paper_options,
             sensor_text,
         )
-        from contactgraph.cli.options import (
-            check_range,
-            check_seed,
-            check_weight,
-            choice,
-            device_count,
-        )
         from contactgraph.cli.output import progress, provenance, sha256
-        from contactgraph.data import (
-            InvalidInputError,
-            check_window_length,
-            read_trajectories,
-            split_by_trajectory,
-            subsample,
-            without_turns,
-        )
         from contactgraph.identify import in_units
         from contactgraph.interchange import pull_warning, velocity_warning
         from contactgraph.large_scenes import ReallocatingModel
-        from contactgraph.model import PRESETS
+        from contactgraph.model import PAPER_PRESETS, PRESETS
         from contactgraph.model.io import save_model
         from contactgraph.model.scene import check_controls
         from contactgraph.train import (
@@ -142,18 +135,25 @@ class Train:
         distance = options.contact_distance
         if distance is not None and not (0 < distance < math.inf):
             raise InvalidInputError(f"--contact-distance must be positive metres, found {distance}")
+        if not 0.0 < options.temperature < math.inf:
+            raise InvalidInputError(f"--temperature must be positive, found {options.temperature}")
+        choice("--graph", options.graph, dict.fromkeys(("full", "star")))
+        choice("--sampling", options.sampling, dict.fromkeys(("likeliest", "gumbel")))
+        estimates = choice("--sensor", options.sensor, {"exact": False, "estimate": True})
         if options.steps is None:
             # Multiples of `check_every`: a shorter last round would be a second program to compile.
             options = replace(options, steps=750 if options.model == "ours" else 2000)
-        if ":" not in options.model:
-            choice("--model", options.model, PRESETS)
-        check_edge_types(options.model, options.edge_types)
-        paper = paper_options(options.model, options.graph, options.sampling, options.temperature)
+        preset = model_preset(options.model)
+        for names, models, known in (
+            (("edge_types",), {"ours", "relations"}, "ours and relations"),
+            (("graph", "sampling", "temperature"), PAPER_PRESETS, "the paper's forms"),
+            (("bystanders", "prior_weight"), PRESETS.keys() - {"ours"}, _OTHERS),
+        ):
+            given = [name for name in names if getattr(options, name) != getattr(Train, name)]
+            if given and options.model not in models and ":" not in options.model:
+                flags = " and ".join(f"{_flag(name)} {getattr(options, name)}" for name in given)
+                raise InvalidInputError(f"{flags}: only for {known}, not for {options.model}")
         check_weight("--prior-weight", options.prior_weight)
-        for name in ("bystanders", "prior_weight") if options.model == "ours" else ():
-            if getattr(options, name) != getattr(Train, name):
-                flag = f"--{name.replace('_', '-')}"
-                raise InvalidInputError(f"{flag}: ours is trained without; see train --help")
         config = TrainConfig(
             **{name: getattr(options, name) for name in _CONFIG},
             rollout_from=0.0 if options.rollout_from is None else options.rollout_from,
@@ -162,26 +162,19 @@ class Train:
         check_range("--every", options.every, 1, 100_000)
         recorded = subsample(read_trajectories(self.data), options.every)
         recorded = recorded if options.turns else without_turns(recorded)
-        facts = facts_for(
-            recorded,
-            options.model,
-            contact_distance=distance,
-            edge_types=options.edge_types,
-            rollout_from=options.rollout_from,
-            paper=paper,
-        )
+        facts = options._facts(recorded)
         dataset, length = in_units(recorded, facts.units), facts.units.length
         config = replace(config, rollout_from=facts.rollout_from)
         checksum = sha256(self.data)
         train, held_out = split_by_trajectory(dataset, options.held_out, options.seed)
         for part in (train, held_out):  # checked before a folder is created
             check_window_length(config.window_length, max(each.steps for each in part))
-        devices = jax.local_devices()[: device_count(options.batch_size)]
-        preset = model_preset(options.model)
+        devices = jax.local_devices()
+        while options.batch_size % len(devices):  # which share a batch
+            devices = devices[:-1]
         model = preset(facts.config, key=jax.random.key(options.seed))
         for each in dataset:
             check_controls(model, each.scene, each.control_size, str(self.data))
-        estimates = choice("--sensor", options.sensor, {"exact": False, "estimate": True})
         for flag, used in (("--use-contacts", options.use_contacts), ("--sensor", estimates)):
             if used:
                 check_contacts(model, dataset, f"{flag}: {self.data}")
@@ -197,7 +190,7 @@ class Train:
             folder.create({**saved, "data_sha256": checksum, **provenance()}, state)
         flags = f"--model {options.model} --seed {options.seed}"
         flags += "".join(
-            f" --{name.replace('_', '-')} {getattr(options, name)}"
+            f" {_flag(name)} {getattr(options, name)}"
             for name in (*_SHOWN, "sensor")
             if getattr(options, name) != getattr(type(options), name)
         ) + (" --use-contacts" if options.use_contacts else "")
@@ -282,10 +275,32 @@ class Train:
                 "the held-out trajectories; try more data, more steps or another --model"
             )
 
+    def _facts(self, dataset: Dataset) -> "Facts":
+        """What the dataset tells, and the options that override it.
+
+        Raises `InvalidInputError` where data and options do not fit.
+        """
+        from contactgraph.bodies.graph import usual_edge_types
+        from contactgraph.identify import identify, relation_facts, scene_facts
+
+        if self.model.startswith("ours") and self.model != "ours-full-ab":
+            facts = identify(dataset, self.contact_distance)
+        else:
+            related = self.model == "relations"
+            facts = relation_facts(dataset) if related else scene_facts(dataset)
+            if facts.config.hinges and related:
+                raise InvalidInputError("--model relations: it has no hinges, but some bodies have")
+            if self.contact_distance is not None:
+                facts = facts.with_contact_distance(self.contact_distance)
+        star, gumbel = self.graph == "star", self.sampling == "gumbel"
+        config = replace(facts.config, star=star, gumbel=gumbel, temperature=self.temperature)
+        if self.edge_types is not None:
+            config = replace(config, edge_types=usual_edge_types(self.edge_types))
+        share = facts.rollout_from if self.rollout_from is None else self.rollout_from
+        return replace(facts, config=config, rollout_from=share)
+
     def _started_with(self, config: dict[str, Any]) -> "Train":
         """The options that the run folder was started with."""
-        from contactgraph.data import InvalidInputError
-
         options: dict[str, Any] = {}
         for option in fields(self):
             if option.name in ("data", "out", "resume", "device"):
@@ -302,10 +317,15 @@ class Train:
         return Train(data=self.data, out=self.out, **options)
 
 
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def _warn(text: str) -> None:
     print(f"contactgraph: warning: {text}", file=sys.stderr)
 
 
+_OTHERS = "ablations and the paper's forms"
 _SHOWN = ("edge_types", "graph", "sampling", "temperature", "every", "bystanders", "prior_weight")
 _CONFIG = (
     *("steps", "batch_size", "window_length", "learning_rate"),

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from contactgraph.cli.options import check_range, check_seed, check_share
+from contactgraph.cli.options import check_range, check_seed
 from contactgraph.cli.output import check_writable, progress, write_json
 from contactgraph.data import (
     InvalidInputError,
@@ -180,7 +180,7 @@ class RecordSimulated:
         check_range("--runs", self.runs, 1, _MAX_TRAJECTORIES)
         check_seed(self.seed)
         check_seconds("--seconds", self.seconds, 25.0)
-        check_share("--stopping", self.stopping)
+        check_range("--stopping", self.stopping, 0, 1)
         paths = [self.out, *(self.out.with_suffix(f".{name}.h5") for name in ("truth", "live"))]
         kept = [_existing(path, seed=self.seed) for path in paths]
         # A process that was killed between two files has left one more in the first of them.
