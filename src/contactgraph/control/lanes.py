@@ -37,6 +37,11 @@ class _Lanes:
         """Factors, so that a sum of products need not write the products to memory."""
 
 
+jax.tree_util.register_pytree_node(
+    _Lanes, lambda each: ((each.value,), None), lambda _, children: _Lanes(*children)
+)
+
+
 def in_lanes(function: Callable[..., _Made], lanes: int) -> Callable[..., _Made]:
     """``jax.vmap(function, in_axes=-1, out_axes=-1)`` of ``lanes`` calls, to rounding.
 
@@ -222,23 +227,17 @@ def _scan(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
         constants, carried = params["num_consts"], params["num_carry"]
     fixed, start = values[:constants], values[constants : constants + carried]
     along = values[constants + carried :]
-    mapped = [isinstance(each, _Lanes) for each in along]
-    arrays = _arrays(along, mapped, lanes)
 
-    def step(carry: list[Any], slices: list[Array]) -> list[Any]:
-        return _evaluate(params["jaxpr"], [*fixed, *carry, *_marked(slices, mapped)], lanes)
+    def step(carry: list[Any], slices: list[Any]) -> tuple[list[Any], list[Any]]:
+        made = _evaluate(params["jaxpr"], [*fixed, *carry, *slices], lanes)
+        return _like(made[:carried], carry, lanes), made[carried:]
 
-    differs = _differing(lambda carry: step(carry, [x[0] for x in arrays])[:carried], start, lanes)
-    of_result: list[bool] = []
-
-    def body(carry: list[Array], slices: list[Array]) -> tuple[list[Array], list[Array]]:
-        made = step(_marked(carry, differs), slices)
-        of_result[:] = [isinstance(each, _Lanes) for each in made[carried:]]
-        return _arrays(made[:carried], differs, lanes), _arrays(made[carried:], of_result, lanes)
+    def first(carry: list[Any]) -> list[Any]:
+        return step(carry, jax.tree.map(lambda each: each[0], along))[0]
 
     kinds = {key: params[key] for key in ("length", "reverse", "unroll")}
-    last, made = jax.lax.scan(body, _arrays(start, differs, lanes), arrays, **kinds)
-    return [*_marked(last, differs), *_marked(made, of_result)]
+    last, made = jax.lax.scan(step, _differing(first, start, lanes), along, **kinds)
+    return [*last, *made]
 
 
 def _while(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
@@ -253,46 +252,33 @@ def _while(params: dict[str, Any], values: list[Any], lanes: int) -> list[Any]:
         going = goes_on(carry)
         made = _evaluate(params["body_jaxpr"], [*of_body, *carry], lanes)
         if not isinstance(going, _Lanes):
-            return made
+            return _like(made, carry, lanes)
         after, before = ([_spread(each, lanes) for each in every] for every in (made, carry))
         pairs = zip(after, before, strict=True)
         return [_Lanes(jnp.where(going.value, new, old)) for new, old in pairs]
 
-    def any_goes_on(carry: list[Array]) -> Array:
-        going = goes_on(_marked(carry, differs))
+    def any_goes_on(carry: list[Any]) -> Array:
+        going = goes_on(carry)
         return jnp.any(going.value) if isinstance(going, _Lanes) else going
 
-    differs = _differing(step, start, lanes)
-    last = jax.lax.while_loop(
-        any_goes_on,
-        lambda carry: _arrays(step(_marked(carry, differs)), differs, lanes),
-        _arrays(start, differs, lanes),
-    )
-    return _marked(last, differs)
+    return jax.lax.while_loop(any_goes_on, step, _differing(step, start, lanes))
 
 
 def _differing(
     step: Callable[[list[Any]], list[Any]], start: Sequence[Any], lanes: int
-) -> list[bool]:
-    """Which of the values that a loop carries come to differ between lanes."""
-    differs = [isinstance(each, _Lanes) for each in start]
+) -> list[Any]:
+    """The values that a loop carries first, with lanes where they come to differ."""
+    carry = list(start)
     while True:
-        found = list(differs)
-
-        def traced(carry: list[Array]) -> None:
-            for index, made in enumerate(step(_marked(carry, differs))):  # noqa: B023
-                found[index] |= isinstance(made, _Lanes)  # noqa: B023
-
-        jax.eval_shape(traced, _arrays(start, differs, lanes))
-        if found == differs:
-            return differs
-        differs = found
+        grown = _like(carry, jax.eval_shape(step, carry), lanes)
+        if jax.tree.structure(grown) == jax.tree.structure(carry):
+            return carry
+        carry = grown
 
 
-def _marked(arrays: Sequence[Array], differs: Sequence[bool]) -> list[Any]:
-    return [_Lanes(each) if lane else each for each, lane in zip(arrays, differs, strict=True)]
-
-
-def _arrays(values: Sequence[Any], differs: Sequence[bool], lanes: int) -> list[Array]:
-    pairs = zip(values, differs, strict=True)
-    return [_spread(each, lanes) if lane else jnp.asarray(each) for each, lane in pairs]
+def _like(values: Sequence[Any], others: Sequence[Any], lanes: int) -> list[Any]:
+    """The values, with lanes also where the others have them."""
+    pairs = zip(values, others, strict=True)
+    return [
+        _Lanes(_spread(each, lanes)) if isinstance(other, _Lanes) else each for each, other in pairs
+    ]
