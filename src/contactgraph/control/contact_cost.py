@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ _TINY = 1e-9
 Pairs = Sequence[tuple[int, int]] | np.ndarray
 
 
-class ContactCost(Protocol):
+class ContactCost(eqx.Module):
     """A term of `QuadraticCost` about pairs of bodies: not quadratic, and expanded by Gauss-Newton.
 
     The first body of a pair is moved away from, or to, the second one, which is taken to move as it
@@ -33,50 +33,50 @@ class ContactCost(Protocol):
     whole cost. Other arrays of the same shapes do not recompile.
     """
 
-    @property
-    def reach(self) -> float:
-        """m; up to which distance bodies matter that touch nothing."""
-        ...
-
-    @property
-    def wanted_nodes(self) -> np.ndarray:
-        """Nodes that are to be touched, which a plan must be about wherever they are."""
-        ...
-
-    def by_step(
-        self, states: Float[Array, "H+1 N 2 G"], beliefs: ContactBelief
-    ) -> Float[Array, " H+1"]:
-        """The cost of each step; ``beliefs`` [H, E, K], belief t about step t."""
-        ...
-
-    def expanded(
-        self,
-        states: Float[Array, "H+1 N 2 G"],
-        beliefs: ContactBelief,
-        node_ids: Int[Array, " M"],
-    ) -> tuple[Float[Array, "H+1 m m"], Float[Array, "H+1 m"]]:
-        """``Q``, positive semi-definite, and ``q`` of ``x^T Q x + 2 q^T x`` near these states, for
-        x as `block_state` of the M nodes."""
-        ...
-
-    def among(self, node_ids: np.ndarray) -> "ContactCost":
-        """In the part of a scene about these nodes, -1 for padding; on the host."""
-        ...
-
-
-class _OfPairs(eqx.Module):
     pairs: Int[Array, "P 2"]
     weight: Float[Array, " P"] | Float[Array, "T P"]
     dimension: int = eqx.field(static=True)
     """D; coordinates of a position, of which turns are none."""
 
+    @property
+    def reach(self) -> float:
+        """m; up to which distance bodies matter that touch nothing."""
+        return 0.0
+
+    @property
+    def wanted_nodes(self) -> np.ndarray:
+        """Nodes that are to be touched, which a plan must be about wherever they are."""
+        return np.zeros(0, np.int32)
+
+    @abstractmethod
+    def by_step(
+        self, states: Float[Array, "H+1 N 2 G"], beliefs: ContactBelief
+    ) -> Float[Array, " H+1"]:
+        """The cost of each step; ``beliefs`` [H, E, K], belief t about step t."""
+
+    @abstractmethod
+    def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
+        """``r`` [H+1, P] of the cost ``weight * r^2``, its slope [H+1, P, D] with respect to the
+        first body's position, and the weight [H+1, P]."""
+
     def among(self, node_ids: np.ndarray) -> Any:
-        """See `ContactCost`; pairs with a node outside the part weigh nothing."""
+        """In the part of a scene about these nodes, -1 for padding; on the host.
+
+        Pairs with a node outside the part weigh nothing.
+        """
         ids, pairs = node_ids[node_ids >= 0], np.asarray(self.pairs)
         inside = np.isin(pairs, ids)
         after: Any = np.where(inside, np.searchsorted(ids, pairs), 0).astype(np.int32)
         weight: Any = np.where(inside.all(axis=1), np.asarray(self.weight), 0)
         return replace(self, pairs=after, weight=weight)
+
+    def _weights(self, steps: int) -> Float[Array, "T P"]:
+        """Raises `InvalidInputError` where they are those of another number of steps."""
+        if self.weight.ndim == 2 and len(self.weight) != steps:
+            raise InvalidInputError(
+                f"weights of contacts must be of {steps} steps, found {len(self.weight)}"
+            )
+        return jnp.broadcast_to(self.weight, (steps, len(self.pairs)))
 
     def _apart(self, states: Array) -> tuple[Array, Array]:
         """[H+1, P] m between the centres, and [H+1, P, D] from the second to the first."""
@@ -90,7 +90,8 @@ class _OfPairs(eqx.Module):
         beliefs: ContactBelief,
         node_ids: Int[Array, " M"],
     ) -> tuple[Float[Array, "H+1 m m"], Float[Array, "H+1 m"]]:
-        """See `ContactCost`."""
+        """``Q``, positive semi-definite, and ``q`` of ``x^T Q x + 2 q^T x`` near these states, for
+        x as `block_state` of the M nodes."""
         residual, slope, weight = self._residual(states, beliefs)
         is_first = self.pairs[:, 0, None] == node_ids
         J = jnp.where(is_first[..., None], slope[:, :, None, :], 0.0)
@@ -102,13 +103,8 @@ class _OfPairs(eqx.Module):
         rest = residual - jnp.einsum("tpi,ti->tp", J, x)
         return jnp.einsum("tpi,tpj->tij", weighted, J), jnp.einsum("tpi,tp->ti", weighted, rest)
 
-    @abstractmethod
-    def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
-        """``r`` [H+1, P] of the cost ``weight * r^2``, its slope [H+1, P, D] with respect to the
-        first body's position, and the weight [H+1, P]."""
 
-
-class BeliefCost(_OfPairs):
+class BeliefCost(ContactCost):
     r"""``sum over steps and pairs of weight * P(not as wanted) * (1 + (|x_a - x_b| / 1 m)^2)``,
     the last factor only where a contact is wanted, so that the way to it pays, too.
 
@@ -124,8 +120,6 @@ class BeliefCost(_OfPairs):
 
     kind: Int[Array, " P"]
     """Of `KINDS`, by index."""
-
-    reach: ClassVar[float] = 0.0
 
     @property
     def wanted_nodes(self) -> np.ndarray:
@@ -153,12 +147,11 @@ class BeliefCost(_OfPairs):
         violated = jnp.where(self.kind == _AVOID, active, 1.0 - active)
         violated = jnp.where(self.kind == _HOLD, 1.0 - holding, violated)
         far = jnp.where(self.kind == _AVOID, 0.0, (length / _LENGTH) ** 2)
-        weight = jnp.broadcast_to(self.weight, violated.shape)
-        costs = jnp.pad(weight * violated, [(0, 1), (0, 0)]) * (1.0 + far)
+        costs = jnp.pad(self._weights(len(violated)) * violated, [(0, 1), (0, 0)]) * (1.0 + far)
         return costs.astype(states.dtype), length, apart
 
 
-class DistanceCost(_OfPairs):
+class DistanceCost(ContactCost):
     """``sum over steps and pairs of weight * max(0, distance - |x_a - x_b|)^2``, ``weight`` in
     1/m^2, the same for all states or one [H+1, P] a state; 0 leaves a pair out."""
 
@@ -170,22 +163,18 @@ class DistanceCost(_OfPairs):
         """See `ContactCost`."""
         return float(np.max(np.asarray(self.distance), initial=0.0))
 
-    @property
-    def wanted_nodes(self) -> np.ndarray:
-        """None."""
-        return np.zeros(0, np.int32)
-
     def by_step(
         self, states: Float[Array, "H+1 N 2 G"], beliefs: ContactBelief
     ) -> Float[Array, " H+1"]:
         """The cost of each state, whatever is believed."""
-        return jnp.sum(self.weight * self._missing(self._apart(states)[0]) ** 2, axis=-1)
+        missing = self._missing(self._apart(states)[0])
+        return jnp.sum(self._weights(len(missing)) * missing**2, axis=-1)
 
     def _residual(self, states: Array, beliefs: ContactBelief) -> tuple[Array, Array, Array]:
         length, apart = self._apart(states)
         missing = self._missing(length)
         slope = jnp.where((missing > 0.0)[..., None], -apart / length[..., None], 0.0)
-        return missing, slope, jnp.broadcast_to(self.weight, missing.shape)
+        return missing, slope, self._weights(len(missing))
 
     def _missing(self, length: Array) -> Array:
         return jax.nn.relu(self.distance - length)

@@ -210,9 +210,23 @@ class QuadraticCost(eqx.Module):
             goal=goal.reshape(*self.goal.shape[:-1], size).astype(self.goal.dtype),
         )
 
+    @property
+    def last(self) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
+        """``Q`` with the terminal weight, and ``goal``, of the last state."""
+        Q = self.Q.reshape(-1, *self.Q.shape[-2:])[-1]
+        return Q * self.terminal_weight, self.goal.reshape(-1, self.goal.shape[-1])[-1]
+
     def over(self, horizon: int) -> tuple[Array, Array, Array]:
-        """``Q [H+1,n,n]``, ``R [H,U,U]`` and ``goal [H+1,n]``, one a step."""
+        """``Q [H+1,n,n]``, ``R [H,U,U]`` and ``goal [H+1,n]``, one a step.
+
+        Raises `InvalidInputError` where weights are those of another horizon.
+        """
         size = self.goal.shape[-1]
+        for name, value, count in (("Q", self.Q, horizon + 1), ("R", self.R, horizon)):
+            if value.ndim == 3 and len(value) != count:
+                raise InvalidInputError(
+                    f"{name} must have {count} matrices for {horizon} steps, found {len(value)}"
+                )
         Q = jnp.broadcast_to(self.Q, (horizon + 1, size, size))
         R = jnp.broadcast_to(self.R, (horizon, *self.R.shape[-2:]))
         goal = jnp.broadcast_to(self.goal, (horizon + 1, size))
