@@ -41,7 +41,7 @@ def measure(name: str, scenes: int, restarts: int) -> dict[str, float]:
     def cheapest(state: ModelState, nodes, cost, key: jax.Array) -> jax.Array:
         def one(key: jax.Array) -> jax.Array:
             held = STRENGTH_N * jax.random.normal(key, (HORIZON // 5, len(box.low)))
-            _, guess = thorough.prepared(model, state, cost, None)
+            guess = thorough.prepared(model, state, nodes, cost, None).guess
             return thorough.solve(
                 model, state, nodes, cost, AffinePolicy(guess.K, jnp.repeat(held, 5, axis=0))
             ).cost

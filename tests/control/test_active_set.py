@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from control_models import nodes_of
 
-from contactgraph.control import InteractionCutoff, chain_cost
+from contactgraph.control import chain_cost
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.control.subproblem import (
     ActiveBounds,
@@ -17,7 +17,7 @@ from contactgraph.control.subproblem import (
 from contactgraph.data import pair_indices
 from contactgraph.model import Nodes
 
-NEAR = InteractionCutoff(distance=0.2, dt=0.1)
+NEAR, DT = 0.2, 0.1
 HORIZON = 10
 
 
@@ -38,7 +38,7 @@ def missing(position, velocity=None, swept=None, cutoffs=1.0) -> list[int]:
     speed[5:] = 0.0 if velocity is None else velocity
     path = swept_of([(0.0, 0.0), (1.0, 0.0)]) if swept is None else swept
     active = np.array([0, -1])[: np.asarray(path.lower).shape[1]]
-    bounds = ActiveBounds(path, active, active == 0, NEAR)
+    bounds = ActiveBounds(path, active, active == 0, NEAR, DT)
     others = np.arange(5, len(place))
     return bounds.nodes_to_add(others, (place, speed), cutoffs).tolist()
 
@@ -55,7 +55,7 @@ def test_nodes_within_two_cutoffs_follow_those_within_one():
 
 def test_nodes_drift_until_the_last_step_of_the_plan():
     # 10 steps of 0.01 m towards the end of the path: near after 10 of them, not after 9.
-    reach, speed = 1.05 * NEAR.distance, [(-0.1, 0.0)]
+    reach, speed = 1.05 * NEAR, [(-0.1, 0.0)]
     assert missing([(1.0 + reach + 0.095, 0.0)], speed) == [5]
     assert missing([(1.0 + reach + 0.105, 0.0)], speed) == []
 
@@ -92,7 +92,7 @@ def test_neighbours_of_an_active_node_matter_once_it_moves():
     path, moved = [(0.0, 1.0), (1.0, 0.3)], ((1.2, 0.25), (1.22, 0.25))
 
     def added(other, required) -> list[int]:
-        bounds = ActiveBounds(swept_of(path, other), np.array([0, 2]), np.array(required), NEAR)
+        bounds = ActiveBounds(swept_of(path, other), np.array([0, 2]), np.array(required), NEAR, DT)
         return bounds.nodes_to_add(np.array([5, 6]), (position, np.zeros((7, 2)))).tolist()
 
     assert added(still(1.2), [True, False]) == []
@@ -107,7 +107,7 @@ def test_a_node_is_kept_near_a_kept_one_that_moves():
     active = np.array([0, 2, 3, 8, -1])
 
     def kept(swept) -> list[int]:
-        return ActiveBounds(swept, active, active == 0, NEAR).nodes_to_keep(motion).tolist()
+        return ActiveBounds(swept, active, active == 0, NEAR, DT).nodes_to_keep(motion).tolist()
 
     assert kept(swept) == [0, 2]
     motion[1][8] = 1.0

@@ -329,8 +329,8 @@ def test_a_start_that_leaps_accepts_its_first_trial_whatever_it_costs():
 
     @jax.jit
     def searched(leap):
-        about = Slope(), state, one, planner.prepared(Slope(), state, cost, guess)[0]
-        return planner.search(*about, planner.begun(*about, guess, leap), 2).cost
+        problem = planner.prepared(Slope(), state, one, cost, guess)
+        return planner.search(problem, planner.begun(problem, guess, leap), 2).cost
 
     stays, leapt = (float(searched(leap)) for leap in (False, True))
     at_rest = 11 * (0.35**2 + 0.5**2)

@@ -16,12 +16,12 @@ from contactgraph.control import (
     MPC,
     AffinePolicy,
     ControlLimits,
+    MPCState,
     Plan,
     PlanStatus,
     chain_cost,
     shift_plan,
 )
-from contactgraph.control.mpc import MPCState
 from contactgraph.data import InvalidInputError
 from contactgraph.model import LinearDynamics, ModelState, two_type_belief
 

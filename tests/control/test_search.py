@@ -298,7 +298,7 @@ def test_a_plan_changes_its_commands_only_where_that_pays(command: float) -> Non
     limits = ControlLimits(-jnp.ones(3), jnp.ones(3))
     cost = chain_cost((0, 1), *WEIGHTS, GOAL, 2, control_size=3, command_weight=1e-9)
     planner = MultiStartILQR(
-        H, 4, limits, proposals=(Approaches(8, 1),), held=(2,), switching_cost=0.1
+        H, 4, limits, proposals=(Approaches(8),), held=(2,), switching_cost=0.1
     )
     # Its hand trembles, which costs a little; shifted, it ends without a command.
     running = jnp.full((H, 3), 0.01).at[:-1, 2].set(command).at[-1].set(0.0)

@@ -20,6 +20,7 @@ from contactgraph.control.cost_io import write_cost as write_cost
 from contactgraph.control.cost_learner import learn_cost as learn_cost
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
+from contactgraph.control.ilqr import PlanningProblem as PlanningProblem
 from contactgraph.control.learned_cost import CostLearningConfig as CostLearningConfig
 from contactgraph.control.learned_cost import CostTerm as CostTerm
 from contactgraph.control.learned_cost import LearnedContact as LearnedContact
@@ -33,9 +34,7 @@ from contactgraph.control.lqr import tracking_problem as tracking_problem
 from contactgraph.control.lqr_adjoint import LQRTrajectory as LQRTrajectory
 from contactgraph.control.lqr_adjoint import lqr_trajectory as lqr_trajectory
 from contactgraph.control.mpc import MPC as MPC
-from contactgraph.control.mpc import MPCState as MPCState
 from contactgraph.control.multi_start import MultiStartILQR as MultiStartILQR
-from contactgraph.control.multi_start import PlanningProblem as PlanningProblem
 from contactgraph.control.multi_start import Proposal as Proposal
 from contactgraph.control.multi_start import Starts as Starts
 from contactgraph.control.plan import Plan as Plan
@@ -50,8 +49,7 @@ from contactgraph.control.proposals.schedules import ChangingSchedules as Changi
 from contactgraph.control.proposals.schedules import ConstantSchedule as ConstantSchedule
 from contactgraph.control.proposals.short_plans import ShortPlans as ShortPlans
 from contactgraph.control.riccati import LQRProblem as LQRProblem
-from contactgraph.control.subproblem import ActiveSetState as ActiveSetState
-from contactgraph.control.subproblem import InteractionCutoff as InteractionCutoff
+from contactgraph.control.subproblem import MPCState as MPCState
 from contactgraph.control.subproblem import interaction_cutoff as interaction_cutoff
 
 _TRACED = "data", "bodies", "inference", "dynamics", "model", "control"

@@ -7,17 +7,18 @@ active if the plan comes near them (`SweptBounds`), and the plan is then made ag
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
 
 from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.host import Motion, Observation
+from contactgraph.control.host import Measured, Observation
 from contactgraph.control.mpc import MPC
-from contactgraph.control.plan import Plan, PlanStatus
+from contactgraph.control.plan import PlanStatus
 from contactgraph.control.subproblem import (
     ActiveBounds,
-    ActiveSetState,
+    MPCState,
     active_part,
     bucket_size,
     carried_over,
@@ -39,7 +40,7 @@ _NONE = np.zeros(0, int)
 _log = logging.getLogger(__name__)
 
 
-class ActiveSetMPC:
+class ActiveSetMPC(MPC):
     """An `MPC` in scenes of many nodes, with any planner: it plans about the active nodes alone.
 
     It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
@@ -59,75 +60,50 @@ class ActiveSetMPC:
             raise InvalidInputError(
                 f"max_active_nodes must be at least 1, found {max_active_nodes}"
             )
-        model, sensor = mpc.config.model, mpc.config.sensor
+        vars(self).update(vars(mpc))
         # Sensor rates by edge are about the scene as a whole.
-        by_edge = np.ndim(sensor.false_alarm) + np.ndim(sensor.miss) > 0
-        self._cutoff = None if by_edge else interaction_cutoff(model)
-        self._mpc = mpc if self._cutoff is None else mpc.with_swept_bounds(self._cutoff.dt)
+        by_edge = np.ndim(self.config.sensor.false_alarm) + np.ndim(self.config.sensor.miss) > 0
+        self._cutoff = None if by_edge else interaction_cutoff(self.config.model)
+        if self._cutoff is not None:
+            model: Any = self.config.model
+            self.config = replace(self.config, swept_dt=model.dt)
+            self._compile()
         self._max = max_active_nodes
         self._largest = 0
         self._compiled: set[tuple] = set()
 
-    def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> ActiveSetState:
+    def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
         """As `MPC.reset`; also compiles for more active nodes, up to the limit or 18.
 
         Raises `InvalidInputError` where the scene needs more active nodes than the limit.
         """
-        scene = self._mpc.checked(nodes, cost)
-        motion = self._mpc.first_motion(observation, *scene)
+        scene = self.checked(nodes, cost)
+        seen = self.measured(observation, scene)
         required, capacity = self._required(*scene), len(scene[0].mask)
         most = max(len(required), self._max or _READY)
         sizes = {bucket_size(count, capacity) for count in range(len(required), most + 1)}
         for size in sorted(sizes, reverse=True):
-            part = active_part(scene, padded(required, size), required, motion)
-            self._compile(part)
-        before, after, missing = self._settled(self._first(part), motion)
+            part = active_part(scene, padded(required, size), required, seen[:2])
+            self._compile_part(part, seen)
+        before, after, missing = self._settled(self.first(part), seen)
         self._check_limit(int(np.sum(before.node_ids >= 0)) + len(missing))
         return replace(before, carry=replace(before.carry, plan=after.plan))
 
-    def step(
-        self,
-        observation: Observation,
-        contacts: np.ndarray | None,
-        state: ActiveSetState,
-        applied: np.ndarray | None = None,
-        *,
-        nodes: Nodes | None = None,
-        cost: Cost | None = None,
-        replan: bool | None = None,
-    ) -> tuple[Plan, ActiveSetState]:
-        """As `MPC.step`; raises `InvalidInputError` also where a new cost needs more nodes than the
-        limit."""
-        begin = self._mpc.clock()
-        current = state
-        if nodes is not None or cost is not None:
-            about = state.scene[0] if nodes is None else nodes
-            current = self._in_scene(state, about, state.scene[1] if cost is None else cost)
-        motion = self._mpc.motion(observation, *current.scene)
-        current = self._shrunk(current)
-        _, after, missing = self._settled(current, motion, contacts, applied, replan)
-        status = PlanStatus.CAPACITY_EXCEEDED if len(missing) else None
-        return self._mpc.answer(begin, state, after, status)
+    def planned(self, state: MPCState, seen: Measured) -> tuple[MPCState, PlanStatus | None]:
+        """See `MPC.planned`."""
+        _, after, missing = self._settled(self._shrunk(state), seen)
+        return after, PlanStatus.CAPACITY_EXCEEDED if len(missing) else None
 
-    def control(self, plan: Plan, observation: Observation) -> np.ndarray:
-        """See `MPC.control`."""
-        return self._mpc.control(plan, observation)
-
-    def _settled(
-        self,
-        state: ActiveSetState,
-        motion: Motion,
-        contacts: np.ndarray | None = None,
-        applied: np.ndarray | None = None,
-        replan: bool | None = None,
-    ) -> tuple[ActiveSetState, ActiveSetState, np.ndarray]:
+    def _settled(self, state: MPCState, seen: Measured) -> tuple[MPCState, MPCState, np.ndarray]:
         """A control step about all nodes that matter: the states before and after it, and the nodes
         that the limit keeps out."""
+        motion = seen[:2]
         known = bool(np.isfinite(motion[0]).all() and np.isfinite(motion[1]).all())
         if not known:  # The active nodes are unknown; the step gets a bad observation.
-            motion = np.full_like(motion[0], np.nan), np.full_like(motion[1], np.nan)
+            unknown = np.full_like(seen.position, np.nan)
+            seen = seen._replace(position=unknown, velocity=unknown)
         while True:
-            after = self._mpc.advance(state, motion, contacts, applied, replan)
+            after = self.advance(state, seen)
             if not known or self._cutoff is None:
                 return state, after, _NONE
             after = replace(after, last_motion=motion)
@@ -146,13 +122,13 @@ class ActiveSetMPC:
             near = bounds.nodes_to_add(state.inactive, motion, cutoffs=reach)
             state = self._with_active(state, np.concatenate([inside, near[:free]]))
 
-    def _bounds(self, state: ActiveSetState) -> ActiveBounds:
-        assert self._cutoff is not None and state.carry.swept is not None
-        reaches = [each.reach for each in state.scene[1].contacts]
-        cutoff = replace(self._cutoff, distance=max([self._cutoff.distance, *reaches]))
-        return ActiveBounds(state.carry.swept, state.node_ids, state.required, cutoff)
+    def _bounds(self, state: MPCState) -> ActiveBounds:
+        assert self._cutoff is not None and self.config.swept_dt is not None
+        cutoff = max([self._cutoff, *(each.reach for each in state.scene[1].contacts)])
+        swept, dt = state.carry.swept, self.config.swept_dt
+        return ActiveBounds(swept, state.node_ids, state.required, cutoff, dt)
 
-    def _shrunk(self, state: ActiveSetState) -> ActiveSetState:
+    def _shrunk(self, state: MPCState) -> MPCState:
         """About fewer nodes, where the last step's rollouts show that a smaller size is enough."""
         capacity, size = len(state.last_motion[0]), len(state.node_ids)
         if bucket_size(int(np.sum(state.required)), capacity) >= size:
@@ -164,9 +140,11 @@ class ActiveSetMPC:
             return replace(state, roomy=state.roomy + 1)
         return self._with_active(state, kept)
 
-    def _in_scene(self, state: ActiveSetState, nodes: Nodes, cost: Cost) -> ActiveSetState:
-        """With other nodes or another cost, and the nodes active that these require."""
-        scene = self._mpc.checked(nodes, cost)
+    def in_scene(self, state: MPCState, scene: tuple[Nodes, QuadraticCost]) -> MPCState:
+        """With the nodes active that these nodes or this cost require.
+
+        Raises `InvalidInputError` where they are more than the limit.
+        """
         required = self._required(*scene)
         before = np.intersect1d(state.node_ids, np.flatnonzero(np.asarray(scene[0].mask)))
         inside = np.union1d(before, required)
@@ -176,11 +154,11 @@ class ActiveSetMPC:
 
     def _with_active(
         self,
-        state: ActiveSetState,
+        state: MPCState,
         inside: np.ndarray,
         scene: tuple[Nodes, QuadraticCost] | None = None,
         required: np.ndarray | None = None,
-    ) -> ActiveSetState:
+    ) -> MPCState:
         """The state with the nodes ``inside`` active; in another scene, where one is given."""
         ids = padded(inside, bucket_size(len(inside), len(state.last_motion[0])))
         required = state.node_ids[state.required] if required is None else required
@@ -188,14 +166,9 @@ class ActiveSetMPC:
         if np.array_equal(ids, state.node_ids):
             return part
         self._announce(len(ids))
-        return carried_over(state, self._first(part))
+        return carried_over(state, self.first(part))
 
-    def _first(self, part: ActiveSetState) -> ActiveSetState:
-        """The part before any control step."""
-        first = self._mpc.first(part.nodes, part.cost, part.node_ids, part.last_motion)
-        return replace(part, carry=first.carry)
-
-    def _compile(self, part: ActiveSetState) -> None:
+    def _compile_part(self, part: MPCState, seen: Measured) -> None:
         """Compiles the step for these shapes, unless that was done before."""
         leaves = jax.tree.leaves((part.nodes, part.cost))
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
@@ -203,11 +176,11 @@ class ActiveSetMPC:
             return
         self._compiled.add(shapes)
         self._announce(len(part.node_ids))
-        state = self._first(part)
-        after = self._mpc.advance(state, part.last_motion)
+        state = self.first(part)
+        after = self.advance(state, seen)
         jax.block_until_ready(after.plan)
-        if self._max is not None or self._mpc.deadline is not None:
-            self._mpc.answer(0.0, state, after, PlanStatus.CAPACITY_EXCEEDED)
+        if self._max is not None or self.deadline is not None:
+            self.answer(0.0, state, after, PlanStatus.CAPACITY_EXCEEDED)
 
     def _announce(self, count: int) -> None:
         if self._largest and count > self._largest:

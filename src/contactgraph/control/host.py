@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -25,6 +25,34 @@ T = TypeVar("T")
 
 Motion = tuple[np.ndarray, np.ndarray]
 """Position m and velocity m/s of all nodes, each [N, G]."""
+
+
+class Measured(NamedTuple):
+    """What a control step receives: of a scene, or of some of its nodes as it is compiled."""
+
+    position: Any
+    """[N, G] m; zero for nodes that were not observed. May be non-finite, as the velocity."""
+    velocity: Any
+    """[N, G] m/s"""
+    contact: Any
+    """[N+1, N+1], 1 touching, 0 not, NaN not measured, as in the last row; of some nodes [E]."""
+    applied: Any
+    """[U] N: the mean control of the step just made; NaN where it was the last plan's."""
+    replan: Any
+    """1 makes a plan, 0 reuses one, -1 makes one every ``replan_every`` steps."""
+
+    def among(self, node_ids: np.ndarray) -> "Measured":
+        """Of the nodes ``node_ids`` [n], of which -1 is padding, and the contacts of their pairs.
+
+        Where only one of ``[i, j]`` and ``[j, i]`` was measured, that one counts.
+        """
+        first, second = node_ids[_pairs(len(node_ids))]
+        one, other = self.contact[first, second], self.contact[second, first]
+        return self._replace(
+            position=self.position[node_ids],
+            velocity=self.velocity[node_ids],
+            contact=np.where(np.isfinite(one), one, other),
+        )
 
 
 def padded_motion(
@@ -53,19 +81,14 @@ def padded_motion(
     return position.astype(dtype, copy=False), velocity.astype(dtype, copy=False)
 
 
-def edge_contacts(
-    contacts: np.ndarray | None, node_ids: np.ndarray, capacity: int, dtype: np.dtype
-) -> np.ndarray:
-    """[e] contacts between the nodes ``node_ids`` [n], of which -1 is padding.
+def padded_contacts(contacts: np.ndarray | None, capacity: int, dtype: np.dtype) -> np.ndarray:
+    """[N+1, N+1] contacts [n, n] of the scene's first n nodes; None: nothing is measured.
 
-    ``contacts``: [m, m] of the scene's first m nodes; NaN is not measured, here as there. None:
-    nothing is. Where only one of ``[i, j]`` and ``[j, i]`` was measured, that one counts.
     Raises `InvalidInputError` where the shape does not fit.
     """
-    first, second = node_ids[_pairs(len(node_ids))]
-    measured = np.full(len(first), np.nan, dtype)
+    padded = np.full((capacity + 1, capacity + 1), np.nan, dtype)
     if contacts is None:
-        return measured
+        return padded
     matrix = np.asarray(contacts)
     size = matrix.shape[0] if matrix.ndim == 2 else -1
     if matrix.ndim != 2 or matrix.shape[1] != size or size > capacity:
@@ -73,11 +96,8 @@ def edge_contacts(
             f"contacts must have shape (n, n) with n <= {capacity}, the capacity; "
             f"found {matrix.shape}"
         )
-    known = np.flatnonzero((first >= 0) & (second >= 0) & (first < size) & (second < size))
-    first, second = first[known], second[known]
-    one, other = matrix[first, second].astype(dtype), matrix[second, first].astype(dtype)
-    measured[known] = np.where(np.isfinite(one), one, other)
-    return measured
+    padded[:size, :size] = matrix
+    return padded
 
 
 def applied_control(applied: np.ndarray | None, control_size: int, dtype: np.dtype) -> np.ndarray:

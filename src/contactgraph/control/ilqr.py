@@ -88,42 +88,30 @@ class ILQR(eqx.Module):
         ITERATION_LIMIT, NO_DESCENT or NOT_FINITE; with NOT_FINITE neither the guess nor zero
         control could be rolled out, and the controls are zero (or the nearest within limits).
         """
-        quadratic, guess = self.prepared(model, state, cost, guess)
-        begun = self.begun(model, state, nodes, quadratic, guess)
-        found = self.search(model, state, nodes, quadratic, begun, self.iterations)
-        return self.plan_of(found, quadratic)
+        problem = self.prepared(model, state, nodes, cost, guess)
+        begun = self.begun(problem, problem.guess)
+        return self.plan_of(problem, self.search(problem, begun, self.iterations))
 
     def begun(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: QuadraticCost,
-        guess: AffinePolicy,
-        leap: bool | Bool[Array, ""] = False,
+        self, problem: "PlanningProblem", guess: AffinePolicy, leap: bool | Bool[Array, ""] = False
     ) -> "Progress":
-        """A search before its first rollout, from a `prepared` guess.
+        """A search before its first rollout, from a guess.
 
         ``leap``: whether its first trial is accepted whatever it costs.
         """
-        ids = self._planned_nodes(state, cost)
+        ids, state = problem.node_ids, problem.state
         trial = AffinePolicy(block_gains(guess.K, ids), guess.k)
         follow = eqx.filter_jit(roll_out)  # as in `search`, so that both are traced once
-        shape = eqx.filter_eval_shape(follow, model, state, nodes, trial, self.limits, ids)
-        return Progress.of(trial, shape, cost.R.dtype, jnp.asarray(leap))
+        shape = eqx.filter_eval_shape(
+            follow, problem.model, state, problem.nodes, trial, self.limits, ids
+        )
+        return Progress.of(trial, shape, problem.cost.R.dtype, jnp.asarray(leap))
 
-    def search(
-        self,
-        model: StepModel,
-        state: ModelState,
-        nodes: Nodes,
-        cost: QuadraticCost,
-        begin: "Progress",
-        iterations: int,
-    ) -> "Progress":
+    def search(self, problem: "PlanningProblem", begin: "Progress", iterations: int) -> "Progress":
         """What ``iterations`` rollouts in all find, of which a search may have made some."""
-        ids, dimension = self._planned_nodes(state, cost), state.position.shape[1]
-        part, contacts = block_cost(cost, ids, dimension, self.horizon), cost.contacts
+        model, state, nodes, ids = problem.model, problem.state, problem.nodes, problem.node_ids
+        contacts = problem.cost.contacts
+        part = block_cost(problem.cost, ids, state.position.shape[1], self.horizon)
         follow = eqx.filter_jit(roll_out)
 
         def advance(search: Progress) -> Progress:
@@ -196,17 +184,15 @@ class ILQR(eqx.Module):
             problem, reference.x[:-1], reference.controls, damping, self.limits, block_operator
         )
 
-    def plan_of(self, search: "Progress", cost: QuadraticCost) -> Plan:
+    def plan_of(self, problem: "PlanningProblem", search: "Progress") -> Plan:
         """The best plan of a search."""
         reference = search.reference
-        node_ids = jnp.arange(reference.position.shape[1], dtype=jnp.int32)
         known = jnp.isfinite(search.cost)
         gains = search.improvement.policy.K
         gains = jnp.where(known & jnp.all(jnp.isfinite(gains)), gains, 0.0)
         controls = jnp.where(known, reference.controls, self._idle(gains.shape[1], gains.dtype))
         policy = AffinePolicy.around(gains, reference.x[:-1], controls)
-        ids = node_ids if cost.cost_node_ids is None else cost.cost_node_ids
-        K = node_gains(gains, ids, reference.position[0])
+        K = node_gains(gains, problem.node_ids, reference.position[0])
         out_of_time = search.status == _RUNNING
         return Plan(
             states=reference.states,
@@ -216,13 +202,18 @@ class ILQR(eqx.Module):
             cost=search.cost,
             status=jnp.where(out_of_time, PlanStatus.ITERATION_LIMIT, search.status),
             iterations=search.iteration,
-            node_ids=node_ids,
+            node_ids=jnp.arange(reference.position.shape[1], dtype=jnp.int32),
         )
 
     def prepared(
-        self, model: StepModel, state: ModelState, cost: Cost, guess: AffinePolicy | None
-    ) -> tuple[QuadraticCost, AffinePolicy]:
-        """The cost in the model's coordinates, and the guess; None is no force.
+        self,
+        model: StepModel,
+        state: ModelState,
+        nodes: Nodes,
+        cost: Cost,
+        guess: AffinePolicy | None,
+    ) -> "PlanningProblem":
+        """With the cost in the model's coordinates, and no force where there is no guess.
 
         Raises `InvalidInputError` where shapes do not fit.
         """
@@ -236,17 +227,31 @@ class ILQR(eqx.Module):
         if guess is None:
             idle = self._idle(quadratic.control_size, quadratic.R.dtype)
             guess = AffinePolicy(jnp.zeros((*idle.shape, count, 2, dimension), idle.dtype), idle)
-        return quadratic, guess
-
-    @staticmethod
-    def _planned_nodes(state: ModelState, cost: QuadraticCost) -> Int[Array, " M"]:
-        every = jnp.arange(len(state.position))
-        return every if cost.cost_node_ids is None else cost.cost_node_ids
+        return PlanningProblem(self, model, state, nodes, quadratic, guess)
 
     def _idle(self, control_size: int, dtype: jnp.dtype) -> Float[Array, "H U"]:
         """No force, or the nearest that the limits allow."""
         zero = jnp.zeros((self.horizon, control_size), dtype)
         return zero if self.limits is None else self.limits(zero).astype(dtype)
+
+
+class PlanningProblem(eqx.Module):
+    """What is to be planned, and from which guess."""
+
+    planner: Any
+    """The `ILQR`; for a `contactgraph.control.Proposal` a `MultiStartILQR`."""
+    model: StepModel
+    state: ModelState
+    nodes: Nodes
+    cost: QuadraticCost
+    guess: AffinePolicy
+    """The running plan's, shifted."""
+
+    @property
+    def node_ids(self) -> Int[Array, " M"]:
+        """The nodes with a cost."""
+        ids = self.cost.cost_node_ids
+        return jnp.arange(len(self.state.position)) if ids is None else ids
 
 
 class Progress(eqx.Module):

@@ -1,31 +1,29 @@
 """Model predictive control through contact: one compiled call a control step."""
 
-import copy
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
 
 from contactgraph.control.cost import Cost, QuadraticCost
 from contactgraph.control.host import (
-    Motion,
+    Measured,
     Observation,
     applied_control,
-    edge_contacts,
+    padded_contacts,
     padded_motion,
     placed,
 )
-from contactgraph.control.mpc_step import MPCCarry, MPCConfig, jit_step
+from contactgraph.control.mpc_step import MPCConfig, jit_step
 from contactgraph.control.plan import Plan, Planner, PlanStatus
+from contactgraph.control.subproblem import MPCState, active_part
 from contactgraph.data import InvalidInputError
 from contactgraph.data.turns import near_turn
 from contactgraph.model import (
-    ContactBelief,
     ContactSensor,
-    ModelState,
     MotionNoise,
     Nodes,
     StepModel,
@@ -33,37 +31,6 @@ from contactgraph.model import (
     default_sensor,
     turn_length_of,
 )
-
-_State = TypeVar("_State", bound="MPCState")
-
-
-@dataclass(frozen=True, eq=False)
-class MPCState:
-    """State between two control steps."""
-
-    nodes: Nodes
-    cost: QuadraticCost
-    node_ids: np.ndarray
-    """[N] The scene's nodes that all of this is about, in their order; -1 for padding."""
-    carry: MPCCarry
-
-    def __repr__(self) -> str:
-        return f"MPCState(N={len(self.node_ids)}, {self.plan!r})"
-
-    @property
-    def plan(self) -> Plan:
-        """The last plan, as of the last observation."""
-        return self.carry.plan
-
-    @property
-    def belief(self) -> ContactBelief:
-        """About the step that leads to the next observation, not yet corrected by its contacts."""
-        return self.carry.filter.predicted
-
-    @property
-    def last(self) -> ModelState:
-        """The last observation, and the belief about the step that led there."""
-        return self.carry.filter.before
 
 
 class MPC:
@@ -135,13 +102,6 @@ class MPC:
         self.deadline, self.clock = deadline, clock
         self._compile()
 
-    def with_swept_bounds(self, dt: float) -> "MPC":
-        """The same, whose states hold the bounds of their plans; ``dt`` [s] is the model's step."""
-        same = copy.copy(self)
-        same.config = replace(self.config, swept_dt=dt)
-        same._compile()
-        return same
-
     def _compile(self) -> None:
         self._first = jit_step(MPCConfig.first_carry, self.config)
         self._step = jit_step(MPCConfig.step, self.config, like=2)
@@ -152,10 +112,10 @@ class MPC:
 
         Raises `InvalidInputError` where the observation is not finite or shapes do not fit.
         """
-        nodes, quadratic = self.checked(nodes, cost)
-        motion = self.first_motion(observation, nodes, quadratic)
-        state = self.first(nodes, quadratic, np.arange(len(nodes.mask)), motion)
-        after = self.advance(state, motion)
+        scene = self.checked(nodes, cost)
+        seen, every = self.measured(observation, scene), np.arange(len(scene[0].mask))
+        state = self.first(active_part(scene, every, every, seen[:2]))
+        after = self.advance(state, seen)
         if self.deadline is not None:
             self.answer(0.0, state, after, PlanStatus.DEADLINE_MISSED)
         return replace(state, carry=replace(state.carry, plan=after.plan))
@@ -179,13 +139,13 @@ class MPC:
         False reuses the previous one; None: every ``replan_every`` steps.
         Raises `InvalidInputError` where shapes do not fit, never for a value.
         """
-        begin = self.clock()
+        begin, current = self.clock(), state
         if nodes is not None or cost is not None:
-            about = state.nodes if nodes is None else nodes, state.cost if cost is None else cost
-            checked = self.checked(*about)
-            state = replace(state, nodes=checked[0], cost=checked[1])
-        motion = self.motion(observation, state.nodes, state.cost)
-        return self.answer(begin, state, self.advance(state, motion, contacts, applied, replan))
+            known = state.scene
+            nodes, cost = known[0] if nodes is None else nodes, known[1] if cost is None else cost
+            current = self.in_scene(state, self.checked(nodes, cost))
+        seen = self.measured(observation, current.scene, contacts, applied, replan)
+        return self.answer(begin, state, *self.planned(current, seen))
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:
         """[U] N: the plan's first control with its feedback on a later observation.
@@ -221,67 +181,64 @@ class MPC:
         fitted = quadratic.fitted(self.config.model, capacity, np)
         return placed((nodes, fitted))
 
-    def motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
-        """Of all nodes [N, G]; zero for padding, whatever was observed there."""
-        mask = np.asarray(nodes.mask)[:, None]
-        coordinates = cost.goal.shape[-1] // (2 * len(mask))
-        model = self.config.model
+    def measured(
+        self,
+        observation: Observation,
+        scene: tuple[Nodes, QuadraticCost],
+        contacts: np.ndarray | None = None,
+        applied: np.ndarray | None = None,
+        replan: bool | None = None,
+    ) -> Measured:
+        """What `step` was given, about all nodes; zero for padding, whatever was observed there."""
+        model, mask = self.config.model, np.asarray(scene[0].mask)[:, None]
+        coordinates = scene[1].goal.shape[-1] // (2 * len(mask))
         dimension = getattr(model, "dimension", coordinates)
         position, velocity = padded_motion(
             observation, len(mask), dimension, self.dtype, turn_length_of(model)
         )
         matters = np.repeat(mask, coordinates, axis=1)
-        if coordinates > dimension and nodes.outlines is not None:
-            outlines = np.asarray(nodes.outlines).reshape(len(mask), -1)
+        if coordinates > dimension and scene[0].outlines is not None:
+            outlines = np.asarray(scene[0].outlines).reshape(len(mask), -1)
             matters[:, dimension:] &= np.any(outlines, axis=1)[:, None]
-        return np.where(matters, position, 0), np.where(matters, velocity, 0)
-
-    def first_motion(self, observation: Observation, nodes: Nodes, cost: QuadraticCost) -> Motion:
-        """As `motion`; raises `InvalidInputError` where it is not finite."""
-        motion = self.motion(observation, nodes, cost)
-        for name, value in zip(("position", "velocity"), motion, strict=True):
-            if not np.all(np.isfinite(value)):
-                raise InvalidInputError(f"observation's {name} must be finite to begin with")
-        return motion
-
-    def first(
-        self, nodes: Nodes, cost: QuadraticCost, node_ids: np.ndarray, motion: Motion
-    ) -> MPCState:
-        """The state before any control step; ``motion`` is of all nodes of the scene."""
-        moved = motion[0][node_ids], motion[1][node_ids]
-        carry = self._first(nodes, cost, *moved, node_ids.astype(np.int32))
-        return MPCState(nodes, cost, node_ids, carry)
-
-    def advance(
-        self,
-        state: _State,
-        motion: Motion,
-        contacts: np.ndarray | None = None,
-        applied: np.ndarray | None = None,
-        replan: bool | None = None,
-    ) -> _State:
-        """The state after a control step; ``motion`` and ``contacts`` are of the whole scene."""
         if replan is False and self.config.replan_every == 1:
             raise InvalidInputError("replan=False needs a replan_every above 1")
-        position, velocity = (each[state.node_ids] for each in motion)
-        if position.shape[1] == 6:  # a turn in space is observed up to whole turns
-            unit, last = turn_length_of(self.config.model), np.asarray(state.last.position)
-            position[:, 3:] = unit * near_turn(position[:, 3:] / unit, last[:, 3:] / unit)
-        carry = self._step(
-            state.nodes,
-            state.cost,
-            state.carry,
-            position,
-            velocity,
-            edge_contacts(contacts, state.node_ids, len(motion[0]), self.dtype),
-            applied_control(applied, state.cost.control_size, self.dtype),
+        return Measured(
+            np.where(matters, position, 0),
+            np.where(matters, velocity, 0),
+            padded_contacts(contacts, len(mask), self.dtype),
+            applied_control(applied, scene[1].control_size, self.dtype),
             np.asarray(-1 if replan is None else replan, np.int32),
         )
-        return replace(state, carry=carry)
+
+    def in_scene(self, state: MPCState, scene: tuple[Nodes, QuadraticCost]) -> MPCState:
+        """The state in a scene of other nodes, or with another cost."""
+        return replace(state, nodes=scene[0], cost=scene[1], scene=scene)
+
+    def first(self, part: MPCState) -> MPCState:
+        """The part of a scene before any control step; its motion must be finite."""
+        for name, values in zip(("position", "velocity"), part.last_motion, strict=True):
+            if not np.all(np.isfinite(values)):
+                raise InvalidInputError(f"observation's {name} must be finite to begin with")
+        position, velocity = (each[part.node_ids] for each in part.last_motion)
+        ids = part.node_ids.astype(np.int32)
+        return replace(part, carry=self._first(part.nodes, part.cost, position, velocity, ids))
+
+    def planned(self, state: MPCState, seen: Measured) -> tuple[MPCState, PlanStatus | None]:
+        """The state after a control step, and a status where its plan must not be used."""
+        return self.advance(state, seen), None
+
+    def advance(self, state: MPCState, seen: Measured) -> MPCState:
+        """The state after one call of the compiled step about the active nodes."""
+        part = seen.among(state.node_ids)
+        if part.position.shape[1] == 6:  # a turn in space is observed up to whole turns
+            unit, last = turn_length_of(self.config.model), np.asarray(state.last.position)
+            turns = part.position[:, 3:]
+            turns[:] = unit * near_turn(turns / unit, last[:, 3:] / unit)
+        return replace(state, carry=self._step(state.nodes, state.cost, state.carry, part))
 
     def answer(
-        self, begin: float, state: MPCState, after: _State, status: PlanStatus | None = None
-    ) -> tuple[Plan, _State]:
+        self, begin: float, state: MPCState, after: MPCState, status: PlanStatus | None = None
+    ) -> tuple[Plan, MPCState]:
         """The new plan; or ``state``'s, shifted, where that one is late or there is a status."""
         if self.deadline is not None:
             jax.block_until_ready(after.plan.controls)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.host import placed
+from contactgraph.control.host import Measured, placed
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
 from contactgraph.control.program_store import stored
 from contactgraph.control.rollout import SweptBounds
@@ -89,26 +89,21 @@ class MPCConfig(eqx.Module):
         nodes: Nodes,
         cost: QuadraticCost,
         carry: MPCCarry,
-        position: Float[Array, "N D"],
-        velocity: Float[Array, "N D"],
-        contact: Float[Array, " E"],
-        applied: Float[Array, " U"],
-        replan: Int[Array, ""],
+        seen: Measured,
     ) -> MPCCarry:
-        """Correct the belief, then make a plan, or reuse the previous one where that is due.
-
-        ``applied``: the control [N] of the step just made; NaN where it was the last plan's.
-        ``replan``: 1 makes a plan, 0 reuses one, -1 makes one every ``replan_every`` steps.
-        """
+        """Correct the belief, then make a plan, or reuse the previous one where that is due."""
         # Padding must not matter, not even where it is NaN.
-        position = jnp.where(nodes.mask[:, None], position, 0.0)
-        velocity = jnp.where(nodes.mask[:, None], velocity, 0.0)
+        position = jnp.where(nodes.mask[:, None], seen.position, 0.0)
+        velocity = jnp.where(nodes.mask[:, None], seen.velocity, 0.0)
         usable = jnp.all(jnp.isfinite(position)) & jnp.all(jnp.isfinite(velocity))
-        due = jnp.where(replan < 0, carry.steps_since_plan >= self.replan_every, replan > 0)
+        regular = carry.steps_since_plan >= self.replan_every
+        due = jnp.where(seen.replan < 0, regular, seen.replan > 0)
         previous = self.previous_plan(carry)
-        control = jnp.where(jnp.isfinite(applied), applied, carry.filter.control)
-        seen, noise = (position, velocity), self.motion_noise
-        known = update(self.model, carry.filter, seen, contact, control, nodes, self.sensor, noise)
+        control = jnp.where(jnp.isfinite(seen.applied), seen.applied, carry.filter.control)
+        motion, noise = (position, velocity), self.motion_noise
+        known = update(
+            self.model, carry.filter, motion, seen.contact, control, nodes, self.sensor, noise
+        )
         nodes = with_masses(nodes, known.masses)
         now = known.before
 
@@ -138,8 +133,7 @@ class MPCConfig(eqx.Module):
     def _swept(self, begin: ModelState, plan: Plan, nodes: Nodes) -> SweptBounds | None:
         if self.swept_dt is None:
             return None
-        predicted = plan.states, plan.controls, plan.beliefs
-        return SweptBounds.of(self.model, begin, *predicted, nodes, self.swept_dt)
+        return SweptBounds.of(self.model, begin, plan, nodes, self.swept_dt)
 
     def previous_plan(self, carry: MPCCarry, status: Int[Array, ""] | None = None) -> Plan:
         """The last plan from the present on; under ``status``, where one is given."""

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
-from contactgraph.control.cost import Cost, QuadraticCost
-from contactgraph.control.ilqr import ILQR, PlannedCost, Progress
+from contactgraph.control.cost import Cost
+from contactgraph.control.ilqr import ILQR, PlannedCost, PlanningProblem, Progress
 from contactgraph.control.lanes import in_lanes
 from contactgraph.control.lqr import Improvement, improve_policy
 from contactgraph.control.plan import Plan
@@ -39,18 +39,6 @@ class Starts(NamedTuple):
     improved: bool = True
     """Whether iLQR improves plans from here, the running one among them; otherwise each is taken as
     it is rolled out."""
-
-
-class PlanningProblem(eqx.Module):
-    """What a proposal proposes starts for."""
-
-    planner: "MultiStartILQR"
-    model: StepModel
-    state: ModelState
-    nodes: Nodes
-    cost: QuadraticCost
-    guess: AffinePolicy
-    """The running plan's, shifted."""
 
 
 Proposal = Callable[[PlanningProblem], Starts]
@@ -99,23 +87,21 @@ class MultiStartILQR(ILQR):
 
         Raises `InvalidInputError` where a proposal does not know the model.
         """
-        quadratic, guess = self.prepared(model, state, cost, guess)
-        held = np.array(self.held, int)
+        problem = self.prepared(model, state, nodes, cost, guess)
+        held, guess = np.array(self.held, int), problem.guess
         # A shifted plan ends without control, which would let go of what it holds.
         kept = guess.k[max(-2, -self.horizon), held]
         guess = AffinePolicy(guess.K.at[:, held].set(0.0), guess.k.at[-1, held].set(kept))
-        problem = PlanningProblem(self, model, state, nodes, quadratic, guess)
+        problem = dataclasses.replace(problem, guess=guess)
         proposed = [each(problem) for each in self.proposals]
         iterations = self.iterations if all(each.improved for each in proposed) else 1
 
-        about = model, state, nodes, quadratic
-
         def searched(progress: Progress, rollouts: int) -> Progress:
-            search = partial(self.search, *about, iterations=rollouts)
+            search = partial(self.search, problem, iterations=rollouts)
             return in_lanes(search, progress.cost.size)(progress)
 
         running = Starts(jax.tree.map(lambda leaf: leaf[..., None], guess))
-        progress, counts = _side_by_side([running, *proposed], partial(self.begun, *about))
+        progress, counts = _side_by_side([running, *proposed], partial(self.begun, problem))
         tried = jnp.zeros((), jnp.int32)
         if max(counts) > 1:
             rounds = [(1, _LANES)] if sum(counts[1:]) > _LANES else []
@@ -125,7 +111,7 @@ class MultiStartILQR(ILQR):
                 progress, counts = _best(progress, counts, most)
                 tried -= jnp.sum(progress.iteration)
         progress = searched(progress, iterations)
-        plans = in_lanes(lambda each: self.plan_of(each, quadratic), sum(counts))(progress)
+        plans = in_lanes(partial(self.plan_of, problem), sum(counts))(progress)
         plans = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), plans)
         costs = plans.cost + self.switching(guess, plans.controls)
         best = jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf))

@@ -11,6 +11,7 @@ from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.contact_cost import ContactCost
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.lqr import block_dynamics, block_state
+from contactgraph.control.plan import Plan
 from contactgraph.control.riccati import LQRProblem
 from contactgraph.model import (
     ContactBelief,
@@ -109,20 +110,19 @@ class SweptBounds(eqx.Module):
         cls,
         model: StepModel,
         begin: ModelState,
-        states: Float[Array, "H+1 N 2 D"],
-        controls: Float[Array, "H U"],
-        beliefs: ContactBelief,
+        plan: Plan,
         nodes: Nodes,
         dt: float,
     ) -> "SweptBounds":
-        """Of a plan's states [m, m/s], controls [N] and beliefs from ``begin`` on, in steps of
-        ``dt`` [s]."""
+        """Of a plan from ``begin`` on, in steps of ``dt`` [s]."""
+        states = plan.states
         position, velocity = states[:-1, :, 0], states[:-1, :, 1]
         belief = jax.tree.map(
-            lambda first, later: jnp.concatenate([first[None], later[:-1]]), begin.belief, beliefs
+            lambda first, later: jnp.concatenate([first[None], later[:-1]]),
+            *(begin.belief, plan.beliefs),
         )
         driven = jax.vmap(partial(control_displacement, model), in_axes=(0, 0, None))(
-            ModelState(position, velocity, belief), controls, nodes
+            ModelState(position, velocity, belief), plan.controls, nodes
         )
         # A parabola lies within its ends and the point where its tangents meet.
         middle = position + 0.5 * dt * velocity

@@ -16,7 +16,8 @@ import numpy as np
 
 from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Motion, placed
-from contactgraph.control.mpc import MPCState
+from contactgraph.control.mpc_step import MPCCarry
+from contactgraph.control.plan import Plan
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import edge_id, pair_indices
 from contactgraph.model import ContactBelief, ModelState, Nodes
@@ -32,26 +33,20 @@ _SLACK = 0.05
 """Part of the cutoff, added to it: springs and controls hardly move nodes without a contact."""
 _LEAVES = 0.5
 """Part of the cutoff, beyond it, at which a node leaves the active set; it prevents flicker."""
+_PADDING = {
+    **dict.fromkeys(("actuated", "mask", "type_id", "static", "control_of", "log_mass"), 0),
+    **dict.fromkeys(("half_size", "outlines"), 0),
+    **dict.fromkeys(("anchor", "reach"), np.nan),
+}
+"""Properties of nodes, and their values for padding."""
 
 
-@dataclass(frozen=True)
-class InteractionCutoff:
-    """Guarantee of a model: nodes farther apart than ``distance`` do not affect each other.
+def interaction_cutoff(model: object) -> float | None:
+    """m; nodes farther apart do not affect each other, from centre to centre or to a bar's middle
+    line, and one that touches nothing is decelerated only by the ground, and driven only by a
+    control that acts on it. None where the model does not guarantee it.
 
-    A node that touches nothing is decelerated only by the ground, and driven only by a control that
-    acts on it.
-    """
-
-    distance: float
-    """m, from centre to centre, or to a bar's middle line."""
-    dt: float
-    """Length of a step, s."""
-
-
-def interaction_cutoff(model: object) -> InteractionCutoff | None:
-    """The model's cutoff as a guarantee on predictions; None where it gives none.
-
-    There is none without a cutoff of edges, with rounds of messages (an edge then depends on its
+    It does not without a cutoff of edges, with rounds of messages (an edge then depends on its
     nodes' other neighbours), where nodes may move by themselves (free matrices, the paper's head
     with its free equilibria), or where pins join far ones.
     """
@@ -66,7 +61,7 @@ def interaction_cutoff(model: object) -> InteractionCutoff | None:
     head = getattr(parts.local_dynamics, "head", None)
     if getattr(head, "turn_length", 0.0) is not None:  # no law of contact, or pins join far bodies
         return None
-    return InteractionCutoff(outer, parts.dt)
+    return float(outer)
 
 
 def bucket_size(count: int, capacity: int) -> int:
@@ -99,9 +94,15 @@ def padded(nodes: np.ndarray, size: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class ActiveSetState(MPCState):
+class MPCState:
     """State between two control steps; nodes, cost and carry are about the active nodes."""
 
+    nodes: Nodes
+    cost: QuadraticCost
+    node_ids: np.ndarray
+    """[n] The active nodes of the scene, in their order; -1 for padding."""
+    carry: Any
+    """An `MPCCarry`; None before the first plan."""
     scene: tuple[Nodes, QuadraticCost]
     """The whole scene's."""
     required: np.ndarray
@@ -113,14 +114,32 @@ class ActiveSetState(MPCState):
     roomy: int = 0
     """Control steps for which fewer active nodes have been enough for a smaller size."""
 
+    def __repr__(self) -> str:
+        return f"MPCState(N={len(self.node_ids)}, {self.plan!r})"
+
+    @property
+    def plan(self) -> Plan:
+        """The last plan, as of the last observation."""
+        return self.carry.plan
+
+    @property
+    def belief(self) -> ContactBelief:
+        """About the step that leads to the next observation, not yet corrected by its contacts."""
+        return self.carry.filter.predicted
+
+    @property
+    def last(self) -> ModelState:
+        """The last observation, and the belief about the step that led there."""
+        return self.carry.filter.before
+
 
 def active_part(
     scene: tuple[Nodes, QuadraticCost],
     node_ids: np.ndarray,
     required: np.ndarray,
     motion: Motion,
-    carry: Any = None,
-) -> ActiveSetState:
+    carry: MPCCarry | None = None,
+) -> MPCState:
     """The part of a scene about ``node_ids`` [n], ascending and then -1 for padding.
 
     All nodes that the cost is about must be among them. ``required`` [m] are those that are active
@@ -133,7 +152,7 @@ def active_part(
         # All at once: a call for each array takes as long as a control step.
         size = 2 * motion[0].shape[1]
         own = placed((_nodes_of(nodes, node_ids), _cost_of(cost, node_ids, size)))
-    return ActiveSetState(
+    return MPCState(
         nodes=own[0],
         cost=own[1],
         node_ids=node_ids,
@@ -145,7 +164,7 @@ def active_part(
     )
 
 
-def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
+def carried_over(state: MPCState, new: MPCState) -> MPCState:
     """``new``, which is about other active nodes and before any step, with what ``state`` carries.
 
     Added nodes begin as last observed, and no force depends on them; ``new`` has the beliefs about
@@ -205,39 +224,17 @@ def carried_over(state: ActiveSetState, new: ActiveSetState) -> ActiveSetState:
 
 
 def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
-    real = ids >= 0
     first, second = ids[pair_indices(len(ids))].T
     exists = (first >= 0) & (second >= 0)
-    edge = np.where(exists, edge_id(first, second), 0)
-    anchor: Any = None
-    if nodes.anchor is not None:
-        anchors = np.asarray(nodes.anchor)
-        anchor = np.where(real[:, None], anchors[ids], anchors.dtype.type(np.nan))
-    actuated: Any = np.asarray(nodes.actuated)[ids] & real
-    mask: Any = np.asarray(nodes.mask)[ids] & real
-    candidate: Any = np.asarray(nodes.candidate)[edge] & exists
-
-    reach: Any = None
-    if nodes.reach is not None:
-        bounds = np.asarray(nodes.reach)
-        reach = np.where(real[:, None, None], bounds[ids], bounds.dtype.type(np.nan))
-
-    def of_nodes(values: Any) -> Any:
-        return None if values is None else np.where(real, np.asarray(values)[ids], 0)
-
-    return nodes._replace(
-        actuated=actuated,
-        mask=mask,
-        candidate=candidate,
-        anchor=anchor,
-        type_id=of_nodes(nodes.type_id),
-        static=of_nodes(nodes.static),
-        control_of=None if nodes.control_of is None else np.asarray(nodes.control_of)[ids],
-        half_size=None if nodes.half_size is None else np.asarray(nodes.half_size)[ids],
-        outlines=None if nodes.outlines is None else np.asarray(nodes.outlines)[ids],
-        reach=reach,
-        log_mass=of_nodes(nodes.log_mass),
-    )
+    candidate = np.asarray(nodes.candidate)[np.where(exists, edge_id(first, second), 0)] & exists
+    parts: dict[str, Any] = {"candidate": candidate}
+    for name, padding in _PADDING.items():
+        values = getattr(nodes, name)
+        if values is not None:
+            chosen = np.asarray(values)[ids]
+            real = (ids >= 0).reshape(-1, *[1] * (chosen.ndim - 1))
+            parts[name] = np.where(real, chosen, chosen.dtype.type(padding))
+    return nodes._replace(**parts)
 
 
 def _cost_of(cost: QuadraticCost, ids: np.ndarray, size: int) -> QuadraticCost:
@@ -275,7 +272,10 @@ class ActiveBounds:
     """[n] of the active nodes; -1 for padding."""
     required: np.ndarray
     """[n] bool: nodes that are active wherever they are."""
-    cutoff: InteractionCutoff
+    cutoff: float
+    """m; see `interaction_cutoff`."""
+    dt: float
+    """s, of a step."""
 
     def nodes_to_add(self, others: np.ndarray, motion: Motion, cutoffs: float = 1.0) -> np.ndarray:
         """Those of the inactive nodes ``others`` [r] that should have been active, nearest first.
@@ -287,8 +287,8 @@ class ActiveBounds:
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
         horizon = len(lower)
         fast = self._is_fast(speed)
-        radius = cutoffs * (1.0 + _SLACK) * self.cutoff.distance
-        drift = self.cutoff.dt * np.max(speed, where=~fast, initial=0.0)
+        radius = cutoffs * (1.0 + _SLACK) * self.cutoff
+        drift = self.dt * np.max(speed, where=~fast, initial=0.0)
         # Most nodes are far from everything: one box around all bounds excludes them.
         margin = radius + drift * horizon
         low, high = lower.min(axis=(0, 1)) - margin, upper.max(axis=(0, 1)) + margin
@@ -310,7 +310,7 @@ class ActiveBounds:
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
         one_sided = lower[:, :, None] - upper[:, None]
         gap = np.maximum(np.maximum(one_sided, np.swapaxes(one_sided, 1, 2)), 0.0)
-        near = np.any(_norm(gap) < (1.0 + _LEAVES) * self.cutoff.distance, axis=0)
+        near = np.any(_norm(gap) < (1.0 + _LEAVES) * self.cutoff, axis=0)
         movers, exists = self._movers(), self.node_ids >= 0
         kept = (self.required | self._is_fast(_norm(motion[1][self.node_ids]))) & exists
         for _ in self.node_ids:
@@ -321,13 +321,13 @@ class ActiveBounds:
         """[n] All but the nodes that are active for being near, and at rest in the plan."""
         lower, upper = np.asarray(self.swept.lower), np.asarray(self.swept.upper)
         extent = upper.max(axis=0) - lower.min(axis=0)
-        moves = np.max(extent, axis=-1) > _STILL * self.cutoff.distance
+        moves = np.max(extent, axis=-1) > _STILL * self.cutoff
         return (moves | self.required) & (self.node_ids >= 0)
 
     def _is_fast(self, speed: np.ndarray) -> np.ndarray:
         """Whether nodes of such a speed, m/s, travel farther in a plan than the cutoff."""
         horizon = len(np.asarray(self.swept.lower))
-        return speed * self.cutoff.dt * horizon > self.cutoff.distance
+        return speed * self.dt * horizon > self.cutoff
 
 
 def _norm(vector: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import ILQR, MPC, ActiveSetMPC, ActiveSetState, ControlLimits
+from contactgraph.control import ILQR, MPC, ActiveSetMPC, ControlLimits, MPCState
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.scene import check_fit
@@ -61,7 +61,7 @@ class MPCPlanner:
         )
         self._mpc = ActiveSetMPC(mpc)
         self._scene, self._cost = scene, cost
-        self._state: ActiveSetState | None = None
+        self._state: MPCState | None = None
         self.interval = float(scene.dt)
         """s: the model's step."""
 

@@ -5,6 +5,8 @@ far side, its A and B do not see the body at all. So the model rolls out approac
 that the cost is about, by the actuated bodies that may touch them, and iLQR polishes the best.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,16 +15,17 @@ from jaxtyping import Array, Float
 
 from contactgraph.control.box_qp import AffinePolicy, ControlLimits
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.ilqr import ILQR
+from contactgraph.control.ilqr import ILQR, PlanningProblem
 from contactgraph.control.lanes import in_lanes
-from contactgraph.control.multi_start import PlanningProblem, Starts
+from contactgraph.control.multi_start import Starts
 from contactgraph.control.proposals.approach import (
     Approach,
     Draws,
     against_gravity,
+    length,
+    level,
     level_reach,
-    spread_approaches,
-    varied_approaches,
+    unit,
 )
 from contactgraph.control.proposals.routes import FreeMotion
 from contactgraph.data.errors import InvalidInputError
@@ -43,6 +46,12 @@ def searches(model: StepModel) -> bool:
     return isinstance(model, ContactDynamics) and isinstance(model.features, InvariantFeatures)
 
 
+_STAND_OFF = 1.5
+"""Contact distances from the body where a push begins at the nearest."""
+_FASTEST = 1.5
+"""Greatest speed of pushes, in units of the top speed."""
+_BANKED = 0.1
+"""Spread about the line to an image of the goal."""
 _ELITES = 8
 """Approaches that the next round varies."""
 _LEVEL, _ELASTIC = 0.1, 0.3
@@ -53,7 +62,7 @@ body bounces off it at least."""
 class Approaches(eqx.Module):
     """The best of many approaches.
 
-    Each of ``rounds`` rolls out ``starts`` approaches as one batch: the first from all sides, the
+    Each of two rounds rolls out ``starts`` approaches as one batch: the first from all sides, the
     others near the best eight. Where bodies bounce off walls, every second one aims at an image of
     the goal in one of them. To stay is among them. The draws follow from the positions: equal
     states give equal plans, and from step to step others are tried.
@@ -63,14 +72,10 @@ class Approaches(eqx.Module):
     """
 
     starts: int = eqx.field(static=True, default=64)
-    rounds: int = eqx.field(static=True, default=2)
 
     def __check_init__(self) -> None:
-        if self.starts < _ELITES or self.rounds < 1:
-            raise InvalidInputError(
-                f"starts must be {_ELITES} or more and rounds 1 or more, found {self.starts} and "
-                f"{self.rounds}"
-            )
+        if self.starts < _ELITES:
+            raise InvalidInputError(f"starts must be {_ELITES} or more, found {self.starts}")
 
     def __call__(self, problem: PlanningProblem) -> Starts:
         """One start. Raises `InvalidInputError` where the model is another."""
@@ -93,7 +98,7 @@ class Approaches(eqx.Module):
         """The controls of the cheapest approach."""
         planner, position = problem.planner, scene.state.position
         bits = jax.lax.bitcast_convert_type(position.astype(jnp.float32), jnp.uint32)
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), self.rounds)
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(0), jnp.sum(bits)), 2)
         draws = [Draws.of(key, self.starts, scene.model.dimension, commands) for key in keys]
         bounds = planner.limits or ControlLimits(-jnp.ones(commands), jnp.ones(commands))
         most = [each[len(each) - commands :] for each in (bounds.lower, bounds.upper)]
@@ -105,24 +110,11 @@ class Approaches(eqx.Module):
             controls = jnp.moveaxis(controls, -1, 0)
             return controls, costs + planner.switching(problem.guess, controls)
 
-        up = against_gravity(scene.nodes, scene.model.dimension)
-        holds = any(each.holds for each in scene.model.inference.edge_types)
-        approaches = spread_approaches(
-            *(draws[0], *scene.pairs(self.starts)),
-            position=position[:, : scene.model.dimension],
-            top_speed=scene.speed,
-            up=up,
-            commands=(most[0], most[1]),
-            touch_holds=holds and not commands,
-        )
+        approaches = scene.spread(draws[0], most)
         controls, costs = tried(approaches)
-        for again in draws[1:]:
-            best = jnp.argsort(costs)[:_ELITES]
-            near = varied_approaches(again, approaches.at(best), up)
-            all_tried = (approaches, controls, costs), (near, *tried(near))
-            approaches, controls, costs = jax.tree.map(
-                lambda one, other: jnp.concatenate([one, other]), *all_tried
-            )
+        near = approaches.at(jnp.argsort(costs)[:_ELITES]).varied(draws[1], scene.up)
+        more, costs_near = tried(near)
+        controls, costs = jnp.concatenate([controls, more]), jnp.concatenate([costs, costs_near])
         return controls[jnp.argmin(costs)]
 
 
@@ -155,6 +147,57 @@ class _Scene(eqx.Module):
             reach=level_reach(nodes, state.position, model.features.turn_length),
         )
 
+    @property
+    def up(self) -> Float[Array, " D"]:
+        """Unit vector against gravity, along which none pushes; zeros without."""
+        return against_gravity(self.nodes, self.model.dimension)
+
+    def spread(self, draws: Draws, commands: Sequence[Float[Array, " C"]]) -> Approach:
+        """Approaches of all sides, every second one near the line to the goal; the first one stays.
+
+        Speeds are spread evenly by their logarithm, from a twelfth of the top speed to 1.5 times
+        it; on the way from a third to all of it. Half of them swerve. With ``commands``, the least
+        and greatest value of each, and gravity all others are grasps, from above: pushing with
+        fingers is seldom seen in what a model learned from. Without commands, but with edges that
+        hold, every fourth one is a grasp by touch.
+        """
+        count, speed, up = len(draws.speed), self.speed, self.up
+        hand, body, goal, aim, turn = self.pairs(count)
+        position = self.state.position[:, : self.model.dimension]
+        missing = aim - position[body]
+        # How far it is to turn takes pushes from any side.
+        distance = jnp.sqrt(length(missing) ** 2 + turn**2)
+        number = jnp.arange(count)
+        has_commands = draws.command.shape[1] > 0
+        touch_holds = any(each.holds for each in self.model.inference.edge_types)
+        grasps = (number > 0) & jnp.any(up != 0.0) & has_commands
+        by_touch = (number % 4 == 2) & (touch_holds and not has_commands)
+        high = jnp.where(draws.command > 0.0, commands[1], commands[0])
+        banked = jnp.any(aim != goal, axis=-1)[:, None]
+        wide = jnp.where(number % 2 == 0, 1.0, 0.25)[:, None]
+        wide = jnp.where(banked, _BANKED, wide)
+        direction = missing / distance[:, None] + wide * draws.direction
+        straight = unit(position[body] - position[hand]) + wide * draws.direction
+        direction = jnp.where(by_touch[:, None], straight, direction)
+        travel = distance * jnp.exp(0.3 * draws.travel)
+        beside = jnp.where(banked, _BANKED, 0.3) * draws.aside
+        share = jax.scipy.stats.norm.cdf  # of slower ones, evenly spread
+        return Approach(
+            hand=hand,
+            body=body,
+            direction=jnp.where(grasps[:, None], -up, unit(level(direction, up))),
+            aside=jnp.where((grasps | by_touch)[:, None], 0.0, beside),
+            speed=_FASTEST * speed * jnp.exp(-2.9 * share(draws.speed)),
+            travel=travel.at[0].set(0.0),
+            run_up=_STAND_OFF * jnp.exp(share(draws.run_up)),
+            swerve=jnp.where((number % 4 < 2)[:, None], 0.0, draws.swerve),
+            approach_speed=speed * jnp.exp(-share(draws.approach_speed)),
+            goal=goal,
+            grasps=grasps | by_touch,
+            by_touch=by_touch,
+            command=jnp.stack([commands[0] + commands[1] - high, high], axis=1),
+        )
+
     def pairs(self, count: int) -> tuple[Array, Array, Array, Array, Array]:
         """Actuated nodes [S], each with one that it may move, in turn; that one's goal and aim
         [S, D], m: every second one's is an image of the goal in one wall after another, if
@@ -171,7 +214,7 @@ class _Scene(eqx.Module):
         hand, body = jnp.asarray(one)[pair], jnp.asarray(other)[pair]
         position = self.state.position[body]
         goal = self.cost.goal.reshape(-1, number, 2, position.shape[1])[-1, body, 0]
-        weight = jnp.diagonal(self.cost.over(1)[0][-1]).reshape(number, 2, -1)[body, 0]
+        weight = jnp.diagonal(self.cost.last[0]).reshape(number, 2, -1)[body, 0]
         turn = jnp.where(weight > 0.0, jnp.abs(goal - position), 0.0)[:, self.model.dimension :]
         turn = jnp.sum(turn, axis=-1)
         goal = goal[:, : self.model.dimension]
@@ -181,9 +224,8 @@ class _Scene(eqx.Module):
         bounce, _ = head.laws(self.model.features.node_type(nodes, position.dtype), body)
         start = np.arange(count)
         wall = nodes.planes[start // 2 % len(nodes.planes)]
-        up = against_gravity(nodes, self.model.dimension)
         normal, before = wall[:, :-1], jnp.sum(wall[:, :-1] * goal, axis=-1) - wall[:, -1]
-        banked = (start % 2 == 1) & (jnp.abs(normal @ up) < _LEVEL) & (bounce > _ELASTIC)
+        banked = (start % 2 == 1) & (jnp.abs(normal @ self.up) < _LEVEL) & (bounce > _ELASTIC)
         image = goal - 2.0 * before[:, None] * normal
         return hand, body, goal, jnp.where(banked[:, None], image, goal), turn
 

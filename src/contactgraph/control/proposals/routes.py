@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float
 
 from contactgraph.control.box_qp import AffinePolicy, solve_small
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.multi_start import PlanningProblem, Starts
+from contactgraph.control.ilqr import PlanningProblem
+from contactgraph.control.multi_start import Starts
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.data.graph import pair_indices
 from contactgraph.model import ContactBelief, ContactDynamics, ModelState, Nodes
@@ -118,9 +119,9 @@ def _place_of_least_cost(state: ModelState, cost: QuadraticCost) -> Float[Array,
     """m, from each body; where the last step's cost of positions is least, if the body moves there
     with all that it is believed to be joined to."""
     count, size = state.position.shape
-    Q, _, goal = cost.over(1)
-    curvature = Q[-1].reshape(count, 2, size, count, 2, size)[:, 0, :, :, 0]
-    away = state.position - goal[-1].reshape(count, 2, size)[:, 0]
+    Q, goal = cost.last
+    curvature = Q.reshape(count, 2, size, count, 2, size)[:, 0, :, :, 0]
+    away = state.position - goal.reshape(count, 2, size)[:, 0]
     slope = jnp.einsum("ndme,me->nd", curvature, away)
     group = _joined(state.belief, count).astype(slope.dtype)
     slope = jnp.einsum("nm,md->dn", group, slope)

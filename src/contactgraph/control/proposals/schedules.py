@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contactgraph.control.box_qp import AffinePolicy
-from contactgraph.control.multi_start import PlanningProblem, Starts
+from contactgraph.control.ilqr import PlanningProblem
+from contactgraph.control.multi_start import Starts
 from contactgraph.data.errors import InvalidInputError
 
 

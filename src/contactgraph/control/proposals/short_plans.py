@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 
 from contactgraph.control.box_qp import AffinePolicy
-from contactgraph.control.ilqr import ILQR
-from contactgraph.control.multi_start import PlanningProblem, Starts
+from contactgraph.control.ilqr import ILQR, PlanningProblem
+from contactgraph.control.multi_start import Starts
 from contactgraph.control.plan import shift_plan
 from contactgraph.data.errors import InvalidInputError
 from contactgraph.model import ModelState
