@@ -27,7 +27,7 @@ demonstrations = Dataset(tuple(collect([factory], [PickupExpert(noise=0.0)], 5, 
 cost = learn_cost(model, demonstrations, CostLearningConfig(steps=100))
 for each in cost.task_nodes:
     print(f"{each.name:13s} {'kept' if each.kept else 'dropped':8s} {each.reason}")
-loss = cost.history.imitation
+loss = cost.imitation_loss
 print(f"imitation loss {loss[0]:.3f} at the beginning, {loss[-50:].mean():.3f} in the end")
 for term in cost_terms(cost):
     print(f"{term.name:17s} 1 m costs as much as {term.position:.1f} N", end=", ")

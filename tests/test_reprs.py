@@ -7,7 +7,6 @@ import numpy as np
 from contactgraph.control import (
     AffinePolicy,
     LearnedCost,
-    LearningHistory,
     Plan,
     PlanStatus,
     chain_cost,
@@ -39,7 +38,7 @@ def one_of_each() -> dict[str, object]:
             np.zeros(2),
             np.arange(2),
             ("hand", "box"),
-            LearningHistory(*[np.ones(1)] * 4),
+            np.ones(1),
         ),
         f"FitState(step 0, best_error inf m, {model!r})": initial_state(model, TrainConfig(), 0),
         "TrajectoryBatch(position[1, 201, 4, 2], control[1, 200, 2])": pad_trajectories(

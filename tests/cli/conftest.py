@@ -92,7 +92,7 @@ def made_up_cost() -> Callable:
         import jax.numpy as jnp
 
         from contactgraph.control import LearnedCost
-        from contactgraph.control.learned_cost import LearningHistory, TaskNode
+        from contactgraph.control.learned_cost import TaskNode
 
         runs = len(dataset)
         for step in range(1, config.steps + 1):
@@ -104,7 +104,7 @@ def made_up_cost() -> Callable:
             goal=jnp.asarray(dataset.trajectories[0].scene.goal if goal is None else goal),
             nodes=jnp.asarray([0, 1], jnp.int32),
             kept_nodes=("gripper", "target"),
-            history=LearningHistory(losses, losses, losses, losses),
+            imitation_loss=losses,
             task_nodes=(
                 TaskNode("gripper", True, runs, runs, 0.8),
                 TaskNode("target", False, runs, runs, 0.8),

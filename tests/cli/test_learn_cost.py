@@ -70,7 +70,7 @@ def test_a_cost_is_learned_and_planned_with(demos: Path, tmp_path: Path) -> None
         assert cli.run(learned(demos, "--out", path)) == 0
     first, again = map(read_cost, paths)
     assert np.array_equal(first.Q, again.Q) and np.array_equal(first.R, again.R), "one seed"
-    assert first.history.imitation[-1] < first.history.imitation[0]
+    assert first.imitation_loss[-1] < first.imitation_loss[0]
     assert [each.name for each in first.task_nodes if each.kept] == ["gripper", "target"]
     result = tmp_path / "out.json"
     command = ["control", "pickup", "pickup", "--episodes", "1", "--replan-every", "10"]
@@ -111,10 +111,9 @@ def test_printed_and_written_output(
 def test_the_file_records_how_it_was_made(
     demos: Path, cost: Path, trajectories: list[Trajectory]
 ) -> None:
-    summary = describe_cost(cost)
-    assert summary.cost.kept_nodes == ("gripper", "target")
-    assert np.allclose(summary.cost.goal, trajectories[0].scene.goal)
-    made = summary.made
+    learned, made = describe_cost(cost)
+    assert learned.kept_nodes == ("gripper", "target")
+    assert np.allclose(learned.goal, trajectories[0].scene.goal)
     assert (made["model"], made["demonstrations"], made["runs"]) == ("pickup", str(demos), 3)
     assert (made["seed"], made["goal"], made["data"]) == (0, "the runs' own", METADATA)
     assert made["recipe"]["steps"] == 20 and made["recipe"]["horizon"] == 20

@@ -68,10 +68,10 @@ def test_a_hidden_cost_is_recovered(double_precision, seed, steps):
         discount=1.0,
         prior_weight=0.0,
     )
-    found_Q, found_R, _, history = fit_cost(
+    found_Q, found_R, _, loss = fit_cost(
         data, STARTS, isotropic_axes(np.zeros(2)), no_contacts(), recipe
     )
-    assert history.imitation[-1] < 1e-9 * history.imitation[0]
+    assert loss[-1] < 1e-9 * loss[0]
     assert np.abs(found_Q - Q).max() < 1e-4 * np.abs(Q).max()
     assert np.abs(found_R - R).max() < 1e-4
     assert np.trace(found_R) == pytest.approx(U)
@@ -83,7 +83,7 @@ def test_the_same_seed_gives_the_same_cost_and_progress_is_reported():
     data, _, _ = hidden_expert(0)
     recipe = CostLearningConfig(horizon=HORIZON, steps=100, batch=8)
     steps: list[int] = []
-    *one, history = fit_cost(
+    *one, losses = fit_cost(
         data,
         STARTS,
         isotropic_axes(np.zeros(2)),
@@ -93,9 +93,9 @@ def test_the_same_seed_gives_the_same_cost_and_progress_is_reported():
         on_step=lambda step, loss: steps.append(step),
     )
     *other, _ = fit_cost(data, STARTS, isotropic_axes(np.zeros(2)), no_contacts(), recipe, 3)
-    assert steps == [50, 100] and history.imitation.shape == (100,)
+    assert steps == [50, 100] and losses.shape == (100,)
     assert all(map(np.array_equal, one, other))
-    assert np.mean(history.imitation[-10:]) < np.mean(history.imitation[:10])
+    assert np.mean(losses[-10:]) < np.mean(losses[:10])
 
 
 def test_lost_definiteness_stops_with_the_step_and_the_eigenvalue():

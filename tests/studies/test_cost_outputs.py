@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made_up import Change, cost_results
 
-from contactgraph.control import LearningHistory, write_cost
+from contactgraph.control import write_cost
 from contactgraph.data import Scene, Trajectory, write_trajectories
 from contactgraph_studies.cost.config import (
     COST_TASKS,
@@ -107,8 +107,7 @@ def test_costs_of_several_objects_are_compared_in_the_hidden_ones_order() -> Non
 
 
 def test_known_answers_are_those_whose_files_are_there(tmp_path: Path) -> None:
-    history = LearningHistory(*[jnp.ones(1)] * 4)
-    own = replace(own_cost(DOOR), history=history)
+    own = replace(own_cost(DOOR), imitation_loss=jnp.ones(1))
     wanted = cost_measurements([DOOR], FULL_COST)
     learned = known_answer(FULL_COST)
     other = replace(own, Q=2.0 * own.Q)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import pytest
 
 from contactgraph.cli import main as cli
-from contactgraph.control import LearningHistory, write_cost
+from contactgraph.control import write_cost
 from contactgraph_studies import outputs
 from contactgraph_studies.cost import config
 from contactgraph_studies.cost.known_answer import own_cost
@@ -127,8 +127,7 @@ def test_all_tasks_go_into_one_folder(
 
 
 def test_files_of_the_study_of_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    history = LearningHistory(*[jnp.ones(1)] * 4)
-    learned = replace(own_cost(PICKUP), history=history)
+    learned = replace(own_cost(PICKUP), imitation_loss=jnp.ones(1))
     values = {"success_rate": 0.97, "episodes": 100, "contact_speed_m_s": 1.5}
 
     def run_jobs(jobs: Sequence[Job], records: JobRecords, *others: Any) -> list[Failure]:

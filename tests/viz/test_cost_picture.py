@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from contactgraph.control import LearnedCost, LearningHistory, QuadraticCost, chain_cost
+from contactgraph.control import LearnedCost, QuadraticCost, chain_cost
 from contactgraph.data import InvalidInputError
 from contactgraph.viz import cost_figure
 
@@ -28,7 +28,7 @@ def a_cost(names: tuple[str, ...] = ("gripper", "target"), dimension: int = 2) -
         goal=jnp.zeros(dimension),
         nodes=jnp.asarray([2, 0, *range(3, 1 + len(names))], jnp.int32),
         kept_nodes=names,
-        history=LearningHistory(*[jnp.ones(1)] * 4),
+        imitation_loss=jnp.ones(1),
     )
 
 

@@ -111,13 +111,12 @@ def _print_model(name: str) -> None:
 def _print_cost(path: Path) -> None:
     from contactgraph.control import describe_cost
 
-    summary = describe_cost(path)
-    cost = summary.cost
+    cost, made = describe_cost(path)
     goal = ", ".join(f"{float(number):.3g}" for number in cost.goal)
     rows = {
         "degrees of freedom": f"{len(cost.goal)} a node, control {len(cost.R)}",
         "goal": f"{goal} m; control takes the scene's",
-        **summary.made,
+        **made,
     }
     _print(f"{path}: learned cost about {', '.join(cost.kept_nodes)}", rows)
     print("\n".join(cost_lines(cost)))
@@ -125,6 +124,8 @@ def _print_cost(path: Path) -> None:
 
 def cost_lines(cost: "LearnedCost") -> list[str]:
     """The cost's nodes, weights and imitation loss, as lines of text."""
+    import numpy as np
+
     from contactgraph.control import cost_terms
 
     lines = [f"kept     {each.name}: {each.reason}" for each in cost.task_nodes if each.kept]
@@ -143,10 +144,10 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
     lines += [
         f"{each.kind} {' - '.join(each.nodes)}  each step "
         f"{'of contact' if each.kind == 'avoid' else 'without'} costs as much as "
-        f"{each.weight**0.5:.3g} N"
+        f"{np.ravel(each.weight)[0] ** 0.5:.3g} N"
         for each in cost.contacts
     ]
-    loss = cost.history.imitation
+    loss = cost.imitation_loss
     first, last = float(loss[0]), float(loss[-_LAST_STEPS:].mean())
     return [*lines, f"imitation loss  {first:.4f} at the beginning, {last:.4f} in the end"]
 

@@ -13,7 +13,6 @@ from contactgraph.control.contact_cost import touch as touch
 from contactgraph.control.cost import Cost as Cost
 from contactgraph.control.cost import QuadraticCost as QuadraticCost
 from contactgraph.control.cost import chain_cost as chain_cost
-from contactgraph.control.cost_io import CostSummary as CostSummary
 from contactgraph.control.cost_io import describe_cost as describe_cost
 from contactgraph.control.cost_io import read_cost as read_cost
 from contactgraph.control.cost_io import write_cost as write_cost
@@ -25,7 +24,6 @@ from contactgraph.control.learned_cost import CostLearningConfig as CostLearning
 from contactgraph.control.learned_cost import CostTerm as CostTerm
 from contactgraph.control.learned_cost import LearnedContact as LearnedContact
 from contactgraph.control.learned_cost import LearnedCost as LearnedCost
-from contactgraph.control.learned_cost import LearningHistory as LearningHistory
 from contactgraph.control.learned_cost import TaskNode as TaskNode
 from contactgraph.control.learned_cost import cost_terms as cost_terms
 from contactgraph.control.lqr import QuadraticValue as QuadraticValue

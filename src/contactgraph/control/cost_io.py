@@ -6,7 +6,6 @@ has a row a line, and numbers have as many digits as give the same number back.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from contactgraph.control.learned_cost import (
     ROUNDING,
     LearnedContact,
     LearnedCost,
-    LearningHistory,
     TaskNode,
 )
 from contactgraph.data import InvalidInputError, atomic_write
@@ -37,15 +35,6 @@ _WORDS = {
     "units": "Q: 1/m^2, s/m^2 and s^2/m^2; R: 1/N^2; goal: m",
     "scale": "a cost is known up to a factor; here the mean of R's diagonal is 1/N^2",
 }
-
-
-@dataclass(frozen=True)
-class CostSummary:
-    """A cost and how it was made, from its file."""
-
-    cost: LearnedCost
-    made: dict[str, Any] = field(default_factory=dict)
-    """Free-form JSON: model, demonstrations, recipe, seed, seconds, versions, …"""
 
 
 def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | None = None) -> None:
@@ -79,18 +68,13 @@ def write_cost(path: str | Path, cost: LearnedCost, made: Mapping[str, Any] | No
             for each in cost.task_nodes
         ],
         "contacts": [
-            {"kind": each.kind, "nodes": list(each.nodes), "weight": each.weight}
+            {"kind": each.kind, "nodes": list(each.nodes), "weight": _numbers(each.weight)}
             for each in cost.contacts
         ],
         "made": dict(made or {}),
-        "history": {
-            "imitation": _numbers(cost.history.imitation),
-            "prior": _numbers(cost.history.prior),
-            "smallest_q": _numbers(cost.history.smallest_q),
-            "smallest_r": _numbers(cost.history.smallest_r),
-        },
+        "history": {"imitation": _numbers(cost.imitation_loss)},
     }
-    _summary(JsonFields(str(path), content))
+    _content(JsonFields(str(path), content))
     try:
         text = _text(content) + "\n"
     except (TypeError, ValueError, RecursionError) as error:
@@ -107,40 +91,35 @@ def read_cost(path: str | Path) -> LearnedCost:
     Nothing in the file is executed. Raises `InvalidInputError` naming file and field for any
     fault in it.
     """
-    return describe_cost(path).cost
+    return describe_cost(path)[0]
 
 
-def describe_cost(path: str | Path) -> CostSummary:
-    """The cost, and how it was made. Raises `InvalidInputError` as `read_cost` does."""
+def describe_cost(path: str | Path) -> tuple[LearnedCost, dict[str, Any]]:
+    """The cost, and how it was made: model, demonstrations, recipe, seed, seconds, versions, …
+
+    Raises `InvalidInputError` as `read_cost` does.
+    """
     fields = read_json_fields(Path(path), "a cost file", FORMAT, VERSION, _SIZE_LIMIT)
-    return _summary(fields)
+    return _content(fields)
 
 
-def _summary(fields: JsonFields) -> CostSummary:
+def _content(fields: JsonFields) -> tuple[LearnedCost, dict[str, Any]]:
     """The checked content. Fields that are not known are left alone."""
     names = fields.names("kept_nodes")
     dimension = fields.count("dimension", 1)
     goal = fields.numbers("goal", (dimension,))
-    history = fields.inner("history")
-    imitation = history.numbers("imitation", (None,))
-    steps = imitation.shape
-    return CostSummary(
-        cost=LearnedCost(
-            Q=jnp.asarray(_definite(fields, "Q", 2 * dimension * len(names), semi=True)),
-            R=jnp.asarray(_definite(fields, "R", fields.rows("R"))),
+    return (
+        LearnedCost(
+            Q=jnp.asarray(_of_steps(fields, "Q", 2 * dimension * len(names), semi=True)),
+            R=jnp.asarray(_of_steps(fields, "R")),
             goal=jnp.asarray(goal),
             nodes=jnp.asarray(fields.indices("nodes", len(names)), jnp.int32),
             kept_nodes=names,
-            history=LearningHistory(
-                imitation=jnp.asarray(imitation),
-                prior=jnp.asarray(history.numbers("prior", steps)),
-                smallest_q=jnp.asarray(history.numbers("smallest_q", steps)),
-                smallest_r=jnp.asarray(history.numbers("smallest_r", steps)),
-            ),
+            imitation_loss=jnp.asarray(fields.inner("history").numbers("imitation", (None,))),
             task_nodes=tuple(_task_node(each) for each in fields.each("task_nodes")),
             contacts=tuple(_contact(each, names) for each in fields.each("contacts")),
         ),
-        made=fields.inner("made").content,
+        fields.inner("made").content,
     )
 
 
@@ -167,12 +146,15 @@ def _contact(fields: JsonFields, kept_nodes: tuple[str, ...]) -> LearnedContact:
             f"{fields.where}: field 'nodes' must be two of {', '.join(kept_nodes)}, "
             f"found {', '.join(nodes)}"
         )
-    weight = fields.number("weight")
-    if weight < 0.0:
+    varies = isinstance(fields.content.get("weight"), list)
+    weight = fields.numbers("weight", (None,) if varies else ())
+    if weight.min() < 0.0:
         raise InvalidInputError(
-            f"{fields.where}: field 'weight' must be at least 0, found {weight:g}"
+            f"{fields.where}: field 'weight' must be at least 0, found {weight.min():g}"
         )
-    return LearnedContact(kind, (nodes[0], nodes[1]), weight)
+    return LearnedContact(
+        kind, (nodes[0], nodes[1]), tuple(weight.tolist()) if varies else float(weight)
+    )
 
 
 def _numbers(values: Any) -> Any:
@@ -196,6 +178,19 @@ def _text(value: Any, indent: str = "\n") -> str:
 
 def _line(value: Any) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def _of_steps(
+    fields: JsonFields, name: str, size: int | None = None, semi: bool = False
+) -> np.ndarray:
+    """A matrix as `_definite`, or one a step; ``size`` None: as many columns as rows."""
+    value = fields.content.get(name)
+    first = value[0] if isinstance(value, list) and value else None
+    if not (isinstance(first, list) and first and isinstance(first[0], list)):
+        return _definite(fields, name, fields.rows(name) if size is None else size, semi)
+    size = len(first) if size is None else size
+    steps = (JsonFields(f"{fields.where}: step {t}", {name: one}) for t, one in enumerate(value))
+    return np.stack([_definite(each, name, size, semi) for each in steps])
 
 
 def _definite(fields: JsonFields, name: str, size: int, semi: bool = False) -> np.ndarray:

@@ -49,7 +49,6 @@ from contactgraph.control.learned_cost import (
     CostLearningConfig,
     LearnedContact,
     LearnedCost,
-    LearningHistory,
     independent_part,
     isotropic_axes,
     relative_basis,
@@ -63,6 +62,8 @@ if TYPE_CHECKING:
 
 _CHUNK = 50
 """Steps in one compiled call."""
+_LEAST = 1e-5
+"""R's smallest eigenvalue; their mean is 1."""
 _FIRST_CONTACT = 0.1
 """Weight of a contact at first, in units of the square of a typical control."""
 _DEFAULT = CostLearningConfig()
@@ -121,8 +122,10 @@ class CostLearner(eqx.Module):
         """The contacts with their learned weights."""
         return replace(self.contacts, weight=self.contacts.weight * jnp.exp(free.log_contact))
 
-    def loss(self, free: FreeCost, data: Demonstrations, windows: Int[Array, "b 2"]) -> tuple:
-        """The objective, and its parts: imitation loss without contacts, and prior.
+    def loss(
+        self, free: FreeCost, data: Demonstrations, windows: Int[Array, "b 2"]
+    ) -> tuple[Array, Array]:
+        """The objective, and the imitation loss without contacts.
 
         The weights of contacts are those that imitate best with Q and R as they are.
         """
@@ -133,8 +136,7 @@ class CostLearner(eqx.Module):
             total += self.imitation((*fixed, self.weighted(free)), data, windows)
         tied = jnp.sum((W - independent_part(W, self.isotropy)) ** 2) / jnp.sum(W**2)
         even = jnp.sum((R - jnp.eye(R.shape[0])) ** 2) / R.shape[0]
-        prior = tied + even
-        return total + self.config.prior_weight * prior, (imitation, prior)
+        return total + self.config.prior_weight * (tied + even), imitation
 
     def imitation(
         self, cost: WindowCost, data: Demonstrations, windows: Int[Array, "b 2"]
@@ -196,22 +198,25 @@ def _size(values: np.ndarray, name: str) -> float:
 @eqx.filter_jit
 def advance_learner(
     learner: CostLearner, data: Demonstrations, state: LearnerState, windows: Int[Array, "S b 2"]
-) -> tuple[LearnerState, LearningHistory]:
-    """As many steps of Adam as there are batches of windows."""
+) -> tuple[LearnerState, tuple[Array, dict[str, Array]]]:
+    """As many steps of Adam as there are batches of windows.
+
+    Of each step the imitation loss, and the smallest eigenvalues of Q and R.
+    """
     import optax  # slow to import
 
     optimiser = learner.optimiser()
 
-    def step(state: LearnerState, batch: Array) -> tuple[LearnerState, LearningHistory]:
+    def step(state: LearnerState, batch: Array) -> tuple[LearnerState, tuple]:
         free, inner = state
-        gradient, (imitation, prior) = jax.grad(learner.loss, has_aux=True)(free, data, batch)
+        gradient, imitation = jax.grad(learner.loss, has_aux=True)(free, data, batch)
         change, inner = optimiser.update(gradient, inner)
         free = optax.apply_updates(free, change)
         Q, R, _ = learner.cost(free)
         q, r = jnp.linalg.eigvalsh(Q), jnp.linalg.eigvalsh(R)
         # Below zero by rounding alone is zero.
         rounded = jnp.where(q[0] > -ROUNDING * q[-1], jnp.maximum(q[0], 0.0), q[0])
-        return (free, inner), LearningHistory(imitation, prior, rounded, r[0])
+        return (free, inner), (imitation, {"R": r[0], "Q": rounded})
 
     return jax.lax.scan(step, state, windows)
 
@@ -224,9 +229,9 @@ def fit_cost(
     config: CostLearningConfig,
     seed: int = 0,
     on_step: Callable[[int, float], None] = lambda step, loss: None,
-) -> tuple[Array, Array, Array, LearningHistory]:
+) -> tuple[Array, Array, Array, Array]:
     """Q [m, m], R [U, U] and weights of contacts [P] whose optimal plans from the states ``starts``
-    [W, 2] are the data.
+    [W, 2] are the data; and the imitation loss of each step.
 
     ``isotropy`` [D, D]: `isotropic_axes`. ``contacts``: `lasting_contacts`. ``seed``: of the order
     of windows. ``on_step`` receives, every 50 steps, the steps done and the imitation loss. Raises
@@ -236,17 +241,22 @@ def fit_cost(
     learner = cost_learner(data, starts, config, isotropy, contacts)
     order = np.random.default_rng(seed).integers(len(starts), size=(config.steps, config.batch))
     state = learner.begin()
-    parts: list[LearningHistory] = []
+    parts: list[np.ndarray] = []
     for begin in range(0, config.steps, _CHUNK):
         windows = jnp.asarray(starts[order[begin : begin + _CHUNK]])
-        state, history = advance_learner(learner, data, state, windows)
-        history.check_definite(begin)
-        parts.append(history)
-        on_step(begin + len(windows), float(np.mean(history.imitation)))
+        state, (loss, smallest) = advance_learner(learner, data, state, windows)
+        for name, least in (("R", _LEAST), ("Q", 0.0)):
+            values = np.asarray(smallest[name])
+            if len(lost := np.flatnonzero(~(values >= least))):
+                raise InvalidInputError(
+                    f"learning the cost stopped at step {begin + lost[0] + 1}: {name}'s smallest "
+                    f"eigenvalue is {values[lost[0]]:.3g}; a smaller learning rate may help"
+                )
+        parts.append(np.asarray(loss))
+        on_step(begin + len(windows), float(np.mean(loss)))
     Q, R, _ = learner.cost(state[0])
     weights = learner.weighted(state[0]).weight
-    history = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return 0.5 * (Q + Q.T), 0.5 * (R + R.T), weights, history
+    return 0.5 * (Q + Q.T), 0.5 * (R + R.T), weights, jnp.concatenate(parts)
 
 
 def learn_cost(
@@ -280,14 +290,14 @@ def learn_cost(
     data = demonstrations_of(demonstrations, filtered, kept, target, limits)
     isotropy = isotropic_axes(scene.gravity)
     contacts = lasting_contacts(demonstrations, filtered, kept if config.contacts else ())
-    Q, R, weights, history = fit_cost(data, starts, isotropy, contacts, config, seed, on_step)
+    Q, R, weights, loss = fit_cost(data, starts, isotropy, contacts, config, seed, on_step)
     return LearnedCost(
         Q=Q,
         R=R,
         goal=data.goal[0, : scene.dimension],
         nodes=jnp.asarray([scene.node_name.index(name) for name in kept], jnp.int32),
         kept_nodes=kept,
-        history=history,
+        imitation_loss=loss,
         task_nodes=nodes,
         contacts=tuple(
             LearnedContact(KINDS[kind], (kept[first], kept[second]), float(weight))

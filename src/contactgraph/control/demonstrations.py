@@ -251,24 +251,18 @@ def task_nodes(demonstrations: Dataset, filtered: FilteredTrajectory) -> tuple[T
         for name, times in contact_times.items()
     ]
     for each in nodes:
-        _check_everywhere(each, demonstrations)
+        for number, trajectory in enumerate(demonstrations if each.kept else ()):
+            if each.name not in trajectory.scene.node_name:
+                raise InvalidInputError(
+                    f"demonstration {number}: node_name must have {each.name!r}, which takes part "
+                    f"in others, found {', '.join(trajectory.scene.node_name)}"
+                )
     return tuple(sorted(nodes, key=_in_order))
 
 
 def _in_order(each: TaskNode) -> tuple[bool, bool, float]:
     time = np.inf if each.first_contact_time is None else each.first_contact_time
     return not each.kept, not each.actuated, time
-
-
-def _check_everywhere(each: TaskNode, demonstrations: Dataset) -> None:
-    if not each.kept or each.trajectories == len(demonstrations):
-        return
-    for number, trajectory in enumerate(demonstrations):
-        if each.name not in trajectory.scene.node_name:
-            raise InvalidInputError(
-                f"demonstration {number}: node_name must have {each.name!r}, which takes part in "
-                f"others, found {', '.join(trajectory.scene.node_name)}"
-            )
 
 
 @eqx.filter_jit

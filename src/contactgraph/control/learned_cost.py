@@ -13,8 +13,6 @@ from contactgraph.control.cost import QuadraticCost
 from contactgraph.control.host import Observation
 from contactgraph.data import InvalidInputError, Scene
 
-_LEAST = 1e-5
-"""R's smallest eigenvalue; their mean is 1."""
 ROUNDING = 1e-5
 """Part of the largest eigenvalue, or entry, by which rounding may change a symmetric matrix."""
 
@@ -88,38 +86,8 @@ class LearnedContact:
     """``"touch"``, ``"hold"``, or ``"avoid"``, which is never learned but may stand in a file."""
     nodes: tuple[str, str]
     """Names of kept nodes; the first one is moved."""
-    weight: float
-    """In the units of Q and R."""
-
-
-class LearningHistory(eqx.Module):
-    """The loss and the smallest eigenvalues at each step of learning."""
-
-    imitation: Float[Array, " S"]
-    """Loss on states and controls, in the units of `contactgraph.control.cost_learner`."""
-    prior: Float[Array, " S"]
-    """Share of Q with products of terms or axes that are independent in the prior."""
-    smallest_q: Float[Array, " S"]
-    """Smallest eigenvalue of Q."""
-    smallest_r: Float[Array, " S"]
-    """Smallest eigenvalue of R, 1/N^2."""
-
-    def check_definite(self, begin: int) -> None:
-        """Raises `InvalidInputError` where Q is not positive semi-definite or R not positive.
-
-        ``begin``: steps before those of this history.
-        """
-        for name, smallest, least in (
-            ("R", np.asarray(self.smallest_r), _LEAST),
-            ("Q", np.asarray(self.smallest_q), 0.0),
-        ):
-            lost = ~(smallest >= least)
-            if lost.any():
-                step = int(np.argmax(lost))
-                raise InvalidInputError(
-                    f"learning the cost stopped at step {begin + step + 1}: {name}'s smallest "
-                    f"eigenvalue is {smallest[step]:.3g}; a smaller learning rate may help"
-                )
+    weight: float | tuple[float, ...]
+    """In the units of Q and R; one a step only in files that were written by hand."""
 
 
 class LearnedCost(eqx.Module):
@@ -134,9 +102,10 @@ class LearnedCost(eqx.Module):
     their goal. `in_scene` and `with_goal` give it for others.
     """
 
-    Q: Float[Array, "m m"]
-    """``m = 2MD``; symmetric, positive semi-definite; 1/m^2 and s^2/m^2."""
-    R: Float[Array, "U U"]
+    Q: Float[Array, "m m"] | Float[Array, "H+1 m m"]
+    """``m = 2MD``; symmetric, positive semi-definite; 1/m^2 and s^2/m^2. One a step, as R, only in
+    files that were written by hand."""
+    R: Float[Array, "U U"] | Float[Array, "H U U"]
     """Symmetric, positive definite; 1/N^2."""
     goal: Float[Array, " D"]
     """m"""
@@ -144,7 +113,8 @@ class LearnedCost(eqx.Module):
     """Indices of the kept nodes in the scene."""
     kept_nodes: tuple[str, ...] = eqx.field(static=True)
     """[M] names, in the order in which they come into contact: gripper, first object, …"""
-    history: LearningHistory
+    imitation_loss: Float[Array, " S"]
+    """At each step of learning, without contacts; see `contactgraph.control.cost_learner`."""
     task_nodes: tuple[TaskNode, ...] = eqx.field(static=True, default=())
     """All nodes of the demonstrations, kept and dropped."""
     contacts: tuple[LearnedContact, ...] = eqx.field(static=True, default=())
@@ -197,13 +167,14 @@ class LearnedCost(eqx.Module):
 
     def quadratic(self, node_count: int) -> QuadraticCost:
         """The cost of a scene padded to ``node_count`` nodes."""
-        part = self.Q.shape[0] // len(self.kept_nodes)
+        part = self.Q.shape[-1] // len(self.kept_nodes)
         rows = (part * self.nodes[:, None] + jnp.arange(part)).reshape(-1)
-        Q = jnp.zeros((node_count * part, node_count * part), self.Q.dtype)
+        size = node_count * part
+        Q = jnp.zeros((*self.Q.shape[:-2], size, size), self.Q.dtype)
         rest = jnp.concatenate([self.goal, jnp.zeros_like(self.goal)])
         goal = jnp.zeros((node_count, part), self.Q.dtype).at[self.nodes].set(rest)
         return QuadraticCost(
-            Q=Q.at[rows[:, None], rows[None, :]].set(self.Q),
+            Q=Q.at[..., rows[:, None], rows[None, :]].set(self.Q),
             R=self.R,
             goal=goal.reshape(-1),
             cost_node_ids=self.nodes,
@@ -214,10 +185,14 @@ class LearnedCost(eqx.Module):
         if not self.contacts:
             return ()
         pairs = [[self.kept_nodes.index(name) for name in each.nodes] for each in self.contacts]
+        given = [np.asarray(each.weight) for each in self.contacts]
+        if len(sizes := {len(each) for each in given if each.ndim}) > 1:
+            raise InvalidInputError(f"contacts must vary over as many steps each, found {sizes}")
+        weights = np.broadcast_arrays(*given)
         return (
             BeliefCost(
                 pairs=self.nodes[jnp.array(pairs)],
-                weight=jnp.array([each.weight for each in self.contacts], self.Q.dtype),
+                weight=jnp.array(np.stack(weights, axis=-1), self.Q.dtype),
                 dimension=self.goal.shape[0],
                 kind=jnp.array([KINDS.index(each.kind) for each in self.contacts]),
             ),
@@ -236,8 +211,8 @@ def relative_basis(nodes: int, dimension: int) -> np.ndarray:
 
 
 def relative_terms(Q: np.ndarray, dimension: int) -> np.ndarray:
-    """``W`` [m, m] of a ``Q`` [m, m]."""
-    back = np.linalg.inv(relative_basis(Q.shape[0] // (2 * dimension), dimension))
+    """``W`` [..., m, m] of a ``Q`` [..., m, m]."""
+    back = np.linalg.inv(relative_basis(Q.shape[-1] // (2 * dimension), dimension))
     return back.T @ np.asarray(Q, dtype=np.float64) @ back
 
 
@@ -284,10 +259,15 @@ class CostTerm:
 
 
 def cost_terms(cost: LearnedCost) -> tuple[CostTerm, ...]:
-    """The terms of a cost in the order of its kept nodes; the last one is about the goal."""
+    """The terms of a cost in the order of its kept nodes; the last one is about the goal.
+
+    Of weights that vary over time, those of the first step.
+    """
     D = cost.goal.shape[0]
-    weights = np.diagonal(relative_terms(np.asarray(cost.Q), D)).reshape(-1, 2, D)
-    of_force = float(np.mean(np.diagonal(np.asarray(cost.R, dtype=np.float64))))
+    Q, R = (np.asarray(each, np.float64) for each in (cost.Q, cost.R))
+    Q, R = (each.reshape(-1, *each.shape[-2:])[0] for each in (Q, R))
+    weights = np.diagonal(relative_terms(Q, D)).reshape(-1, 2, D)
+    of_force = float(np.mean(np.diagonal(R)))
     # Below zero by rounding alone is zero.
     sizes = np.sqrt(np.maximum(weights.mean(axis=2), 0.0) / of_force)
     return tuple(

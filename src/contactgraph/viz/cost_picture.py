@@ -37,7 +37,7 @@ def cost_figure(cost: LearnedCost, expert: Cost | None = None) -> Figure:
     second row. Raises `InvalidInputError` where its shapes do not fit, or vary over time.
     """
     D, names = cost.goal.shape[0], cost.kept_nodes
-    rows = [("as learned", *_scaled(np.asarray(cost.Q), np.asarray(cost.R)))]
+    rows = [("as learned", *_of_nodes("cost", cost, cost.order, D, cost.R.shape[-2:]))]
     if expert is not None:
         rows.append(("of the expert", *_of_nodes("expert", expert, cost.order, D, cost.R.shape)))
     return _figure(rows, names, D)

@@ -9,7 +9,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 
-from contactgraph.control import LearnedCost, LearningHistory, cost_terms, read_cost
+from contactgraph.control import LearnedCost, cost_terms, read_cost
 from contactgraph.data import read_trajectories
 from contactgraph.policies import TaskCost
 from contactgraph_studies.cost.config import CostAmounts, CostCondition, known_answer
@@ -39,14 +39,13 @@ def own_cost(task: StudyTask) -> LearnedCost:
     whole = TaskCost.of(terms, control_size).in_scene(scene).quadratic(scene.node_count)
     D = scene.dimension
     rows = _state_rows(terms.chain, 2 * D)
-    nothing = jnp.zeros(0)
     return LearnedCost(
         Q=whole.Q[rows[:, None], rows[None, :]],
         R=whole.R,
         goal=whole.goal[rows][:D],
         nodes=jnp.asarray(terms.chain, jnp.int32),
         kept_nodes=tuple(scene.node_name[node] for node in terms.chain),
-        history=LearningHistory(nothing, nothing, nothing, nothing),
+        imitation_loss=jnp.zeros(0),
         task_nodes=(),
     )
 
