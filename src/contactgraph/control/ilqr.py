@@ -105,7 +105,18 @@ class ILQR(eqx.Module):
         shape = eqx.filter_eval_shape(
             follow, problem.model, state, problem.nodes, trial, self.limits, ids
         )
-        return Progress.of(trial, shape, problem.cost.R.dtype, jnp.asarray(leap))
+        zero, none = jnp.zeros((), problem.cost.R.dtype), jnp.zeros((), jnp.int32)
+        return Progress(
+            reference=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape),
+            cost=zero + jnp.inf,
+            improvement=Improvement(trial, trial.k, zero),
+            trial=trial,
+            damping=zero,
+            attempt=none,
+            iteration=none,
+            status=none + _RUNNING,
+            leap=jnp.asarray(leap),
+        )
 
     def search(self, problem: "PlanningProblem", begin: "Progress", iterations: int) -> "Progress":
         """What ``iterations`` rollouts in all find, of which a search may have made some."""
@@ -270,24 +281,6 @@ class Progress(eqx.Module):
     status: Int[Array, ""]
     leap: Bool[Array, ""]
     """Whether the first trial is accepted whatever it costs."""
-
-    @classmethod
-    def of(
-        cls, trial: AffinePolicy, reference: Any, dtype: Any, leap: Bool[Array, ""]
-    ) -> "Progress":
-        """Before any rollout; ``reference`` has its shapes."""
-        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-        return cls(
-            reference=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), reference),
-            cost=zero + jnp.inf,
-            improvement=Improvement(trial, trial.k, zero),
-            trial=trial,
-            damping=zero,
-            attempt=none,
-            iteration=none,
-            status=none + _RUNNING,
-            leap=leap,
-        )
 
 
 def _adapted(

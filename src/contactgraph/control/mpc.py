@@ -145,7 +145,8 @@ class MPC:
             nodes, cost = known[0] if nodes is None else nodes, known[1] if cost is None else cost
             current = self.in_scene(state, self.checked(nodes, cost))
         seen = self.measured(observation, current.scene, contacts, applied, replan)
-        return self.answer(begin, state, *self.planned(current, seen))
+        after, status = self.planned(current, seen)
+        return self.answer(begin, state, after, status)
 
     def control(self, plan: Plan, observation: Observation) -> np.ndarray:
         """[U] N: the plan's first control with its feedback on a later observation.

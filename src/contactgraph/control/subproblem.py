@@ -21,7 +21,6 @@ from contactgraph.control.plan import Plan
 from contactgraph.control.rollout import SweptBounds
 from contactgraph.data import edge_id, pair_indices
 from contactgraph.model import ContactBelief, ModelState, Nodes
-from contactgraph.model.filter import FilterState
 
 _SMALLEST, _TIMES = 2, 3
 _HARDLY_MORE = 1.5
@@ -198,29 +197,19 @@ def carried_over(state: MPCState, new: MPCState) -> MPCState:
         beliefs=belief(plan.beliefs, fresh),
         node_ids=new.plan.node_ids,
     )
-    known = FilterState(
-        before=ModelState(
-            nodes(last.position, np.where(carry.is_first, np.nan, position)),
-            nodes(last.velocity, velocity),
-            belief(last.belief, fresh),
+    masses = known.masses, new.carry.filter.masses
+    known = replace(
+        known,
+        before=replace(
+            last,
+            position=nodes(last.position, np.where(carry.is_first, np.nan, position)),
+            velocity=nodes(last.velocity, velocity),
+            belief=belief(last.belief, fresh),
         ),
-        control=known.control,
         predicted=belief(known.predicted, fresh),
-        masses=jax.tree.map(
-            lambda old, begun: nodes(old, np.asarray(begun), -1),
-            *(known.masses, new.carry.filter.masses),
-        ),
+        masses=jax.tree.map(lambda old, begun: nodes(old, np.asarray(begun), -1), *masses),
     )
-    return replace(
-        new,
-        carry=replace(
-            new.carry,
-            filter=known,
-            plan=moved,
-            is_first=carry.is_first,
-            steps_since_plan=carry.steps_since_plan,
-        ),
-    )
+    return replace(new, carry=replace(carry, filter=known, plan=moved, swept=new.carry.swept))
 
 
 def _nodes_of(nodes: Nodes, ids: np.ndarray) -> Nodes:
