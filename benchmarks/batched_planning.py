@@ -39,7 +39,7 @@ def scenes_of(count: int) -> tuple[Scene, Nodes, ControlLimits]:
     drawn = []
     for seed in range(count):
         observation, _ = task.reset(seed=seed)
-        cost = TaskCost.of(task.cost_terms(), len(box.low), task.cost_terms).in_scene(task.scene)
+        cost = TaskCost(task.cost_terms(), len(box.low), task.cost_terms).in_scene(task.scene)
         scene = observation["position"], observation["velocity"], cost.quadratic(DISTRACTORS + 2)
         drawn.append(jax.tree.map(np.asarray, scene))
     limits = ControlLimits(jnp.asarray(box.low), jnp.asarray(box.high))

@@ -6,6 +6,7 @@ the cheapest of ``--restarts`` plans by iLQR from random controls, with four tim
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import numpy as np
 import contactgraph
 from contactgraph.control import ILQR, MPC, AffinePolicy, ControlLimits, MultiStartILQR, Routes
 from contactgraph.model import ModelState, scene_nodes
-from contactgraph.policies import AvoidingCost, TaskCost
+from contactgraph.policies import TaskCost, avoid_others
 
 HORIZON, ITERATIONS, ROUTES, TOGETHER, LATEST = 20, 5, 7, 100, 40
 CASES = {
@@ -52,12 +53,13 @@ def measure(name: str, scenes: int, restarts: int) -> dict[str, float]:
     ratios = []
     for seed in range(scenes):
         observation, _ = task.reset(seed=seed)
-        cost = TaskCost.of(task.cost_terms(), len(box.low), task.cost_terms)
+        cost = TaskCost(task.cost_terms(), len(box.low), task.cost_terms)
         cost = cost.in_scene(task.scene)
+        wanted = cost.quadratic(task.scene.node_count)
         if clearance is not None:
-            cost = AvoidingCost(cost, clearance).in_scene(task.scene)
+            wanted = replace(wanted, contacts=avoid_others(task.scene, cost.order, clearance))
         nodes = scene_nodes(task.scene)
-        state = mpc.reset(observation, nodes, cost)
+        state = mpc.reset(observation, nodes, wanted)
         for _ in range(seed % LATEST):
             plan, state = mpc.step(observation, observation["contact"], state)
             observation, *_ = task.step(np.asarray(plan.controls[0]))

@@ -109,14 +109,14 @@ def test_a_plan_turns_a_bar_to_the_angle_of_the_cost() -> None:
 def test_a_task_s_angle_is_the_nearest_of_the_equal_ones() -> None:
     terms = ChainCost((0, 1), PICK, GOAL, 0.01, goal_angle=GOAL_ANGLE, angle_weight=2.0)
     scene = dataclasses.replace(SCENE, goal=np.array([0.1, 0.2]))
-    at = TaskCost.of(terms, 2, turns=True).in_scene(scene)
+    at = TaskCost(terms, 2, turns=True).in_scene(scene)
     for angle, nearest in ((0.5, 0.4), (6.0, 0.4 + 2.0 * np.pi), (-20.0, 0.4 - 6.0 * np.pi)):
         seen = at.seeing(observation(orientation=np.array([[np.nan], [angle]])))
         quadratic = seen.quadratic(2)
         np.testing.assert_allclose(quadratic.goal.reshape(2, 2, 3)[1, 0, 2], nearest, rtol=1e-6)
         assert quadratic.Q[8, 8] == 2.0
     # A model that does not turn plans without the angle.
-    assert TaskCost.of(terms, 2).in_scene(scene).quadratic(2).goal.shape == (8,)
+    assert TaskCost(terms, 2).in_scene(scene).quadratic(2).goal.shape == (8,)
 
 
 def test_outlines_reach_across_gravity_and_not_for_a_model_of_bodies_that_do_not_turn() -> None:

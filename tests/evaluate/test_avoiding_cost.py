@@ -1,4 +1,4 @@
-"""The cost that keeps a task's bodies clear of all others."""
+"""The costs that keep a task's bodies clear of all others."""
 
 from dataclasses import replace
 
@@ -7,48 +7,40 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import MultiPickupTask
-from contactgraph.policies import AvoidingCost, TaskCost
+from contactgraph.policies import TaskCost, avoid_others
 
 
-def in_scene(distractors: int) -> tuple[AvoidingCost, MultiPickupTask]:
+def task_of(distractors: int) -> MultiPickupTask:
     task = MultiPickupTask(2, distractors)
     task.reset(seed=0)
-    own = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
-    return AvoidingCost(own, 0.05, 300.0).in_scene(task.scene), task
+    return task
 
 
 def test_all_bodies_of_the_task_avoid_all_others_by_their_radii_and_the_clearance() -> None:
-    cost, task = in_scene(3)
-    touched, found = cost.quadratic(8).contacts
+    scene = task_of(3).scene
+    touched, found = avoid_others(scene, (0, 1, 2), 0.05, 300.0)
     for each in (touched, found):
         pairs = {tuple(pair) for pair in np.asarray(each.pairs).tolist()}
         assert pairs == {(one, other) for one in (0, 1, 2) for other in (3, 4, 5)}
-    np.testing.assert_allclose(found.distance, 2 * task.scene.radius[0] + 0.05, rtol=1e-6)
+    np.testing.assert_allclose(found.distance, 2 * scene.radius[0] + 0.05, rtol=1e-6)
     np.testing.assert_allclose(found.weight, 300.0)
     assert found.dimension == 2
     assert not len(touched.wanted_nodes)
-    without = replace(cost, clearance=0.0).in_scene(replace(task.scene, radius=None))
-    assert len(without.quadratic(8).contacts) == 1
+    assert len(avoid_others(replace(scene, radius=None), (0, 1, 2), 0.0)) == 1
 
 
-def test_the_other_cost_stays_as_it_is() -> None:
-    cost, task = in_scene(3)
-    own = cost.cost
-    assert cost.order == own.order == (0, 1, 2)
-    for changed in (cost, cost.among((0, 2, 1))):
-        plain = changed.cost.quadratic(6)
-        np.testing.assert_array_equal(changed.quadratic(6).Q, plain.Q)
-        assert len(changed.quadratic(6).contacts) == 2
-    assert cost.among((0, 2, 1)).order == (0, 2, 1)
+def test_the_cost_follows_its_nodes_and_the_goal() -> None:
+    task = task_of(3)
+    cost = TaskCost(task.cost_terms(), 2, task.cost_terms).in_scene(task.scene)
+    assert cost.order == (0, 1, 2) and cost.among((0, 2, 1)).order == (0, 2, 1)
     observation, _ = task.reset(seed=0)
     assert cost.seeing(observation) is cost
     moved = {**observation, "goal": np.array([0.1, 0.2])}
-    np.testing.assert_allclose(cost.seeing(moved).cost.goal, [0.1, 0.2])
+    np.testing.assert_allclose(cost.seeing(moved).goal, [0.1, 0.2])
 
 
 def test_without_others_there_is_nothing_to_avoid() -> None:
-    cost, task = in_scene(0)
-    assert cost.quadratic(3).contacts == ()
-    among, task = in_scene(1)
+    assert avoid_others(task_of(0).scene, (0, 1, 2), 0.05) == ()
+    scene = task_of(1).scene
     with pytest.raises(InvalidInputError, match="a clearance from bodies needs their radius"):
-        among.in_scene(replace(task.scene, radius=None))
+        avoid_others(replace(scene, radius=None), (0, 1, 2), 0.05)

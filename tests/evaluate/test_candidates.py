@@ -5,7 +5,7 @@ import pytest
 
 from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, StickyTask
-from contactgraph.policies import AvoidingCost, CandidateTrials, TaskCost
+from contactgraph.policies import CandidateTrials, TaskCost, avoid_others
 
 DT = 0.05
 WEIGHTS = np.ones(4)
@@ -68,8 +68,8 @@ def test_metrics_are_about_the_candidate_nearest_the_goal():
 def test_no_candidate_is_avoided():
     task = StickyTask(distractors=1)
     task.reset(seed=0)
-    own = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
-    avoid, clear = AvoidingCost(own, candidates=(1, 2, 3)).in_scene(task.scene).contacts
+    own = TaskCost(task.cost_terms(), 2, task.cost_terms).in_scene(task.scene)
+    avoid, clear = avoid_others(task.scene, (*own.order, 1, 2, 3), 0.03)
     for pairs in (avoid.pairs, clear.pairs):
         assert np.array(pairs).tolist() == [[0, 4], [1, 4], [2, 4], [3, 4]]
 

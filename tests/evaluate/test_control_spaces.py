@@ -155,9 +155,9 @@ def test_an_episode_that_ends_early_is_recorded_and_fails_unless_it_succeeds(win
 
 def test_every_component_has_the_cost_of_the_control():
     task = HandTask("displacement", [-1] * 3 + [0], [1] * 4, (0.0,) * 3, (1.0,) * 3)
-    cost = TaskCost.of(task.cost_terms(), 4).in_scene(task.scene).quadratic(2)
+    cost = TaskCost(task.cost_terms(), 4).in_scene(task.scene).quadratic(2)
     assert np.allclose(cost.R, 0.001 * np.eye(4)) and cost.Q.shape == (12, 12)
-    assert TaskCost.of(task.cost_terms(), 0).in_scene(task.scene).quadratic(2).control_size == 0
+    assert TaskCost(task.cost_terms(), 0).in_scene(task.scene).quadratic(2).control_size == 0
 
 
 def test_a_task_without_control_is_refused():
@@ -224,7 +224,7 @@ def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
 
     task = Chosen()
     task.reset(seed=0)
-    cost = TaskCost.of(task.cost_terms(), 2, task.cost_terms)
+    cost = TaskCost(task.cost_terms(), 2, task.cost_terms)
     for seed in range(3):
         task.reset(seed=seed)
         assert cost.in_scene(task.scene).order == (0, 1 + seed)

@@ -29,7 +29,7 @@ class Counted(GluedBodies):
 
 def policy_of(model, capacity=0, limits=None) -> MPCPolicy:
     ilqr = ILQR(5, 2, limits)
-    return MPCPolicy(MPC(model, ilqr), TaskCost.of(PickupTask().cost_terms(), 2), capacity)
+    return MPCPolicy(MPC(model, ilqr), TaskCost(PickupTask().cost_terms(), 2), capacity)
 
 
 def test_the_known_world_is_picked_up_in_one_sweep():
@@ -149,7 +149,7 @@ def planned_for(contacts, chain=TASK_CHAIN, holding=False) -> list[QuadraticCost
     With ``holding`` the pairs hold each other, and all nodes touch.
     """
     watcher = Watcher()
-    policy = MPCPolicy(watcher, TaskCost.of(ChainCost(chain, *WEIGHTS), 2))
+    policy = MPCPolicy(watcher, TaskCost(ChainCost(chain, *WEIGHTS), 2))
     policy.reset(scene_of(4, goal=np.ones(2)), 0)
     for pairs in contacts:
         contact = np.zeros((4, 4), np.int8)
@@ -194,7 +194,7 @@ def test_with_nothing_further_to_pick_up_the_chain_stays():
 def test_nothing_is_picked_up_while_the_last_node_lies_at_the_goal():
     terms = ChainCost((0, 1), *WEIGHTS, placed_radius=0.01)
     watcher = Watcher()
-    policy = MPCPolicy(watcher, TaskCost.of(terms, 2))
+    policy = MPCPolicy(watcher, TaskCost(terms, 2))
     policy.reset(scene_of(4, goal=np.ones(2)), 0)
     for away in (0.011, 0.009, 0.0, 0.02):
         position = np.zeros((4, 2))

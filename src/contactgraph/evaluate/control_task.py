@@ -13,7 +13,7 @@ from contactgraph.envs.episodes import episode_seeds, run_episode
 from contactgraph.evaluate.edge_scores import EstimatedContacts, estimated_contacts
 from contactgraph.evaluate.plan_tracking import PlanTrackingError, plan_tracking_error
 from contactgraph.evaluate.statistics import wilson_interval
-from contactgraph.policies.episode_record import EpisodeRecord, RecordingPolicy
+from contactgraph.policies import EpisodeRecord, RecordingPolicy
 from contactgraph.policies.task_policy import limits_of
 
 _NO_TRACKING = PlanTrackingError()

@@ -10,7 +10,7 @@ from contactgraph.data import Trajectory, moving_bodies, pair_indices
 from contactgraph.evaluate.baselines import constant_velocity, fixed_contact_oracle
 from contactgraph.evaluate.edge_scores import EdgeCounts, edge_counts
 from contactgraph.evaluate.statistics import Sums, finite_or_none, number_or_word
-from contactgraph.policies.episode_record import EpisodeRecord
+from contactgraph.policies import EpisodeRecord
 
 _HORIZON_S = 0.5
 

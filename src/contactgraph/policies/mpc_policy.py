@@ -1,30 +1,51 @@
-"""The model predictive controller as a policy in a task."""
+"""The model predictive controller as a policy in a task, and the record of an episode."""
 
 import copy
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from contactgraph.control import MPC, ActiveSetMPC, MPCState, Plan
-from contactgraph.data import InvalidInputError, Scene, joined, pair_indices
+from contactgraph.control import MPC, ContactCost, MPCState, Plan, QuadraticCost
+from contactgraph.data import InvalidInputError, Scene, edge_id, joined, pair_indices
 from contactgraph.data.dataset import far_origin, scene_about
 from contactgraph.envs.contract import Feedback, Observation
+from contactgraph.feedback import PlanFeedback
 from contactgraph.model import ContactBelief, scene_nodes
-from contactgraph.policies.episode_record import (
-    EpisodeRecord,
-    edge_probabilities,
-    plan_feedback,
-    planned_positions,
-)
 from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
-from contactgraph.policies.task_cost import AvoidingCost, CandidateTrials, SceneCost
+from contactgraph.policies.task_cost import CandidateTrials, SceneCost, avoid_others
 
 _EXACT = SensorFaults()
 _NOISELESS = ObservationNoise()
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRecord:
+    """The controller's plans and beliefs in one episode of ``T`` steps.
+
+    Edges are in `pair_indices`' order.
+    """
+
+    plan_ms: np.ndarray
+    """[T] ms: time of each control step (correct, plan, return)."""
+    status: np.ndarray
+    """[T] int: `PlanStatus` of each plan."""
+    plan: np.ndarray
+    """[T, H+1, N, D] m: every node's positions in the plan made at each step."""
+    plan_belief: np.ndarray
+    """[T, H, E] probability that each edge is active in each step of that plan."""
+    estimated: np.ndarray
+    """[T, E] the same for the step that led to each observation, corrected by the observation."""
+
+
+@runtime_checkable
+class RecordingPolicy(Protocol):
+    """A policy that plans, and tells what it planned and believed."""
+
+    def record(self) -> EpisodeRecord:
+        """Of the episode since `reset`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +66,20 @@ class MPCPolicy:
 
     Scenes are padded to a capacity of nodes, so that another number of objects recompiles
     nothing; a scene above it raises the capacity, and compiles once more, unless only part of it is
-    active (`ActiveSetMPC`). Compilation precedes an episode's first control step and is not part
-    of its time.
+    active (`contactgraph.control.ActiveSetMPC`). Compilation precedes an episode's first control
+    step and is not part of its time.
     """
 
     def __init__(
         self,
-        mpc: MPC | ActiveSetMPC,
+        mpc: MPC,
         cost: SceneCost,
         node_capacity: int = 0,
         faults: SensorFault = _EXACT,
         measured: bool = True,
         noise: ObservationNoise = _NOISELESS,
         candidates: tuple[int, ...] = (),
+        clearance: float | None = None,
     ) -> None:
         """``node_capacity``: 0 for the first scene's.
 
@@ -65,28 +87,19 @@ class MPCPolicy:
         hold each other, since an edge of the model joins nodes that move together. ``faults``
         corrupts the contacts that the controller observes; without ``measured`` it observes none.
         ``noise`` is added to the motion that it plans from, not to the motion that feedback within
-        a step uses. ``candidates``: see `ChainCost`.
+        a step uses. ``candidates``: see `ChainCost`. ``clearance`` [m] of the cost's nodes and the
+        candidates from all others: see `avoid_others`; None: they may touch.
         """
         self._mpc = mpc
         self._cost = cost
-        self._scene_cost = cost
-        self._chain = self._order = cost.order
-        self._candidates = candidates
-        self._trials = CandidateTrials(cost.order[0], candidates)
+        self._candidates, self._clearance = candidates, clearance
         self._capacity = node_capacity
         self._faults = faults
         self._measured = measured
         self._noise = noise
-        self._noise_rng = noise.begin(0)
-        self._sensor: Callable[[np.ndarray], np.ndarray] | None = None
         self._scene: Scene | None = None
         self._state: Any = None
         self._steps: list[_Step] = []
-        self._applied: np.ndarray | None = None
-        self._origin: np.ndarray | None = None
-        """[D] m, about which plans are made."""
-        self._holds = False
-        """Whether the scene's contacts are the pairs that hold each other."""
 
     def compiled_as(self, other: "MPCPolicy") -> "MPCPolicy":
         """The same with the controller of another policy of equal model and task, which need not
@@ -98,31 +111,42 @@ class MPCPolicy:
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
 
-        Raises `InvalidInputError` where cost and scene do not fit, for example without a goal.
+        Raises `InvalidInputError` where cost and scene do not fit, for example without a goal, or
+        without radii where there is a clearance.
         """
         self._scene_cost = self._cost.in_scene(scene)
         self._chain = self._order = self._scene_cost.order
         self._trials = CandidateTrials(self._order[0], self._candidates)
+        self._avoided: tuple[ContactCost, ...] = ()
+        if self._clearance is not None:
+            handled = (*self._order, *self._candidates)
+            self._avoided = avoid_others(scene, handled, self._clearance)
         self._capacity = max(self._capacity, scene.node_count)
         self._scene, self._state, self._steps = scene, None, []
-        self._applied = self._origin = None
+        self._applied: np.ndarray | None = None
+        self._origin: np.ndarray | float = 0.0
+        """[D] m, about which plans are made."""
         self._sensor = self._faults.begin(scene, seed) if self._measured else None
         self._noise_rng = self._noise.begin(seed)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[U]`` N for the coming step."""
+        if self._scene is None:
+            raise InvalidInputError("call reset(scene, seed) first")
         observation = self._noise.observed(observation, self._noise_rng)
+        origin = far_origin(self._scene, observation["position"]) if self._state is None else None
+        if origin is not None:  # plans are about a point near the bodies
+            self._origin, self._scene = origin, scene_about(self._scene, origin)
+            self._scene_cost = self._cost.in_scene(self._scene)
+        places = observation.keys() & {"position", "goal"}
+        moved = {name: observation[name] - self._origin for name in places}
+        observation = {**observation, **moved}
         if self._state is None:
-            if self._scene is None:
-                raise InvalidInputError("call reset(scene, seed) first")
-            self._begin(self._scene, observation["position"])
-            observation = self._about_origin(observation)
             nodes = scene_nodes(self._scene, self._capacity)
             self._state = self._mpc.reset(observation, nodes, self._cost_of(self._order))
-        else:
-            observation = self._about_origin(observation)
         contacts = self._contacts(observation)
         self._holds = "holding" in observation
+        """Whether the scene's contacts are the pairs that hold each other."""
         begin = time.perf_counter()
         plan, self._state = self._mpc.step(
             observation,
@@ -139,19 +163,6 @@ class MPCPolicy:
         self._applied = None
         return control
 
-    def _begin(self, scene: Scene, position: np.ndarray) -> None:
-        """Plans are about a point near the bodies where these are far from the origin."""
-        self._origin = far_origin(scene, position)
-        if self._origin is not None:
-            self._scene = scene_about(scene, self._origin)
-            self._scene_cost = self._cost.in_scene(self._scene)
-
-    def _about_origin(self, observation: Observation) -> Observation:
-        if self._origin is None:
-            return observation
-        moved = {name: observation[name] - self._origin for name in ("position", "goal")}
-        return {**observation, **moved}
-
     def applied(self, control: np.ndarray) -> None:
         """Receives the mean control ``[U]`` N that the task applied since the last call."""
         self._applied = np.asarray(control)
@@ -163,7 +174,7 @@ class MPCPolicy:
         feedback = plan_feedback(
             self._steps[-1].plan, self._scene.dt, self._capacity, self._scene.dimension
         )
-        origin = 0.0 if self._origin is None else self._origin
+        origin = self._origin
         return lambda part, position, velocity: feedback.within(
             0, part, position - origin, velocity
         )
@@ -197,7 +208,7 @@ class MPCPolicy:
                     for each in self._steps
                 ]
             )
-            + (0.0 if self._origin is None else self._origin),
+            + self._origin,
             plan_belief=np.stack(
                 [
                     probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids))
@@ -219,7 +230,7 @@ class MPCPolicy:
             return None
         return self._sensor(observation.get("holding", observation["contact"]))
 
-    def _changed_cost(self, observation: Observation) -> SceneCost | None:
+    def _changed_cost(self, observation: Observation) -> QuadraticCost | None:
         """The cost where the nodes are as observed; None: it is that of the last step."""
         before, order = self._scene_cost, self._order
         self._scene_cost = before.seeing(observation)
@@ -231,12 +242,12 @@ class MPCPolicy:
             return None
         return self._cost_of(self._order)
 
-    def _cost_of(self, order: tuple[int, ...]) -> SceneCost:
-        """The cost along these nodes; of candidates it also avoids those that were given up."""
-        cost = self._scene_cost.among(order)
-        if not self._candidates or self._scene is None:
-            return cost
-        return AvoidingCost(cost, contacts=(self._trials.avoided(self._scene.dimension),))
+    def _cost_of(self, order: tuple[int, ...]) -> QuadraticCost:
+        """The cost along these nodes, and of touching others and candidates that were given up."""
+        cost, avoided = self._scene_cost.among(order).quadratic(self._capacity), self._avoided
+        if self._candidates and self._scene is not None:
+            avoided += (self._trials.avoided(self._scene.dimension),)
+        return replace(cost, contacts=(*cost.contacts, *avoided)) if avoided else cost
 
     def _believed(self, belief: ContactBelief, holds: bool) -> np.ndarray:
         """[N, N] bool: the pairs of the scene's nodes that touch or, with ``holds``, hold."""
@@ -267,3 +278,57 @@ class MPCPolicy:
         believed = self._believed(self._state.belief, self._holds)
         grasped = joined(believed[None])[0, order[0]] > 0
         return tuple(sorted(order, key=lambda node: (not grasped[node], order.index(node))))
+
+
+def planned_positions(
+    plan: Plan, position: np.ndarray, velocity: np.ndarray, dt: float
+) -> np.ndarray:
+    """[H+1, N, D] m: every node's positions in the plan, at steps of ``dt`` s.
+
+    Nodes that are not active keep the observed ``position`` m and ``velocity`` m/s, [N, D].
+    """
+    node_ids, slots = _present(plan, len(position))
+    states = np.asarray(plan.states, np.float64)
+    ahead = dt * np.arange(len(states))[:, None, None]
+    whole = position + ahead * velocity
+    whole[:, node_ids] = states[:, slots, 0, : position.shape[1]]
+    return whole
+
+
+def plan_feedback(plan: Plan, dt: float, capacity: int, dimension: int) -> PlanFeedback:
+    """The feedback along a plan with steps of ``dt`` s, padded to a ``capacity`` of nodes.
+
+    It does not depend on nodes that are not active, nor on turns, but on D = ``dimension`` degrees
+    of freedom a node.
+    """
+    node_ids, slots = _present(plan, capacity)
+    states, gains = np.asarray(plan.states, float), np.asarray(plan.policy.K, float)
+    states, gains = states[..., :dimension], gains[..., :dimension]
+    all_states = np.zeros((len(states), capacity, *states.shape[2:]))
+    all_gains = np.zeros((*gains.shape[:2], capacity, *gains.shape[3:]))
+    all_states[:, node_ids], all_gains[:, :, node_ids] = states[:, slots], gains[:, :, slots]
+    return PlanFeedback(all_states, np.asarray(plan.controls, float), all_gains, dt)
+
+
+def edge_probabilities(
+    belief: ContactBelief, node_ids: np.ndarray, count: int, holds: bool = False
+) -> np.ndarray:
+    """[..., E] that each edge of a scene of ``count`` nodes is active; with ``holds``, holds.
+
+    ``belief`` is about the nodes ``node_ids``, -1 for padding. Edges of other nodes are beyond the
+    model's cutoff from all that matters, and taken to be inactive.
+    """
+    probability = np.asarray(belief.holding if holds else belief.contact, np.float64)
+    first, second = node_ids[pair_indices(len(node_ids))].T
+    known = (first >= 0) & (second >= 0) & (first < count) & (second < count)
+    first, second = first[known], second[known]
+    whole = np.zeros((*probability.shape[:-1], count * (count - 1) // 2))
+    whole[..., edge_id(first, second)] = probability[..., known]
+    return whole
+
+
+def _present(plan: Plan, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The active ones of the first ``count`` nodes of the scene, and their slots in the plan."""
+    node_ids = np.asarray(plan.node_ids)
+    slots = np.flatnonzero((node_ids >= 0) & (node_ids < count))
+    return node_ids[slots], slots

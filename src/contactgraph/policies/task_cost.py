@@ -26,11 +26,9 @@ _GIVEN_UP_WEIGHT = 100.0
 gripper, and is known to be heavy, is torn off by a plan only if that pays."""
 _THERE = 0.1
 """m from the goal, up to which a body may rest there."""
-CLEARANCE = 0.03
-"""m; least gap between surfaces."""
-WEIGHT = 1e4
+_CLEARANCE_WEIGHT = 1e4
 """1/m^2; of what is missing of the gap."""
-TOUCH_WEIGHT = 10.0
+_TOUCH_WEIGHT = 10.0
 """Of a step in which a body that is to be avoided is believed to be touched."""
 
 
@@ -53,34 +51,26 @@ class SceneCost(Cost, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TaskCost:
-    """A task's own cost."""
+    """A task's own cost; without a goal before `in_scene`."""
 
     terms: ChainCost
     control_size: int
     """U"""
-    order: tuple[int, ...]
+    current_terms: Callable[[], ChainCost] | None = None
+    """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
+    turns: bool = False
+    """Whether states include angles, so that the cost of the angle counts."""
+    order: tuple[int, ...] = ()
     goal: np.ndarray | None = None
     """[D] m"""
     placed: bool = False
     """Whether the chain's last node lies at the goal: see `ChainCost.placed_radius`."""
-    turns: bool = False
-    """Whether states include angles, so that the cost of the angle counts."""
     angle: float = 0.0
     """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
-    current_terms: Callable[[], ChainCost] | None = None
-    """The terms in the scene that the task was reset to last; None: ``terms`` in every scene."""
 
-    @classmethod
-    def of(
-        cls,
-        terms: ChainCost,
-        control_size: int,
-        current_terms: Callable[[], ChainCost] | None = None,
-        turns: bool = False,
-    ) -> "TaskCost":
-        """The cost before its scene is known."""
-        turns = turns and terms.goal_angle is not None
-        return cls(terms, control_size, terms.chain, turns=turns, current_terms=current_terms)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", self.order or self.terms.chain)
+        object.__setattr__(self, "turns", self.turns and self.terms.goal_angle is not None)
 
     def in_scene(self, scene: Scene) -> "TaskCost":
         """The cost with the scene's goal."""
@@ -128,60 +118,31 @@ class TaskCost:
         return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
 
 
-@dataclass(frozen=True, eq=False)
-class AvoidingCost:
-    """Another cost, and one of coming near bodies that it is not about; of a scene once in it."""
+def avoid_others(
+    scene: Scene, handled: Sequence[int], clearance: float, weight: float = _CLEARANCE_WEIGHT
+) -> tuple[ContactCost, ...]:
+    """Costs of touching bodies other than the ``handled`` ones, and of coming too near to them.
 
-    cost: SceneCost
-    clearance: float = CLEARANCE
-    """m"""
-    weight: float = WEIGHT
-    """1/m^2"""
-    candidates: tuple[int, ...] = ()
-    """Bodies that may be touched, beside those of the cost."""
-    contacts: tuple[ContactCost, ...] = ()
-
-    @property
-    def order(self) -> tuple[int, ...]:
-        """The nodes of the other cost."""
-        return self.cost.order
-
-    def in_scene(self, scene: Scene) -> "AvoidingCost":
-        """For this scene; where there is a clearance, its bodies must be round: see `SceneCost`."""
-        known = scene.radius is not None and bool(np.all(np.isfinite(scene.radius)))
-        if self.clearance > 0.0 and not known:
-            raise InvalidInputError(
-                "a clearance from bodies needs their radius, which the scene has not; with a "
-                "clearance of 0 they are not touched as far as the model believes"
-            )
-        cost = self.cost.in_scene(scene)
-        handled = tuple(dict.fromkeys((*cost.order, *self.candidates)))
-        others = [node for node in range(scene.node_count) if node not in handled]
-        pairs = np.array([(one, other) for one in handled for other in others], int)
-        pairs = pairs.reshape(-1, 2)
-        if not len(pairs):
-            return replace(self, cost=cost, contacts=())
-        dimension = scene.dimension
-        contacts: tuple[ContactCost, ...] = (avoid(pairs, TOUCH_WEIGHT, dimension),)
-        if self.clearance > 0.0:
-            assert scene.radius is not None
-            gap = scene.radius[pairs].sum(axis=1) + self.clearance
-            contacts += (keep_clear(pairs, gap, self.weight, dimension),)
-        return replace(self, cost=cost, contacts=contacts)
-
-    def among(self, nodes: Sequence[int]) -> "AvoidingCost":
-        """See `SceneCost`."""
-        return replace(self, cost=self.cost.among(nodes))
-
-    def seeing(self, observation: Observation) -> "AvoidingCost":
-        """See `SceneCost`."""
-        cost = self.cost.seeing(observation)
-        return self if cost is self.cost else replace(self, cost=cost)
-
-    def quadratic(self, node_count: int) -> QuadraticCost:
-        """The other cost, with what is to be avoided."""
-        cost = self.cost.quadratic(node_count)
-        return replace(cost, contacts=(*cost.contacts, *self.contacts))
+    ``clearance`` [m] is between surfaces; ``weight`` [1/m^2] is that of what is missing of it.
+    Raises `InvalidInputError` where there is a clearance and the scene's bodies are not all round.
+    """
+    known = scene.radius is not None and bool(np.all(np.isfinite(scene.radius)))
+    if clearance > 0.0 and not known:
+        raise InvalidInputError(
+            "a clearance from bodies needs their radius, which the scene has not; with a "
+            "clearance of 0 they are not touched as far as the model believes"
+        )
+    own = tuple(dict.fromkeys(handled))
+    others = [node for node in range(scene.node_count) if node not in own]
+    pairs = np.array([(one, other) for one in own for other in others], int).reshape(-1, 2)
+    if not len(pairs):
+        return ()
+    touching = avoid(pairs, _TOUCH_WEIGHT, scene.dimension)
+    if clearance <= 0.0:
+        return (touching,)
+    assert scene.radius is not None
+    gap = scene.radius[pairs].sum(axis=1) + clearance
+    return touching, keep_clear(pairs, gap, weight, scene.dimension)
 
 
 class CandidateTrials:

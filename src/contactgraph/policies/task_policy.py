@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -25,7 +24,6 @@ from contactgraph.control import (
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Task
 from contactgraph.model import (
-    ContactSensor,
     MotionNoise,
     StepModel,
     default_sensor,
@@ -34,7 +32,7 @@ from contactgraph.model import (
 from contactgraph.model.scene import check_fit
 from contactgraph.policies.mpc_policy import MPCPolicy
 from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
-from contactgraph.policies.task_cost import AvoidingCost, SceneCost, TaskCost
+from contactgraph.policies.task_cost import SceneCost, TaskCost, avoid_others
 
 PlannerFactory = Callable[..., Planner]
 """Called with the keywords ``horizon`` [steps] and ``limits``, a `ControlLimits`."""
@@ -85,7 +83,6 @@ def task_policy(
     clearance: float | None = None,
     replan_every: int = 1,
     deadline: float | None = None,
-    sensor: ContactSensor | None = None,
     faults: SensorFault = _EXACT,
     measured: bool = True,
     noise: ObservationNoise = _NOISELESS,
@@ -100,13 +97,14 @@ def task_policy(
     task's action space. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s and `MPC`'s,
     ``starts``, ``routes`` and ``segment`` those of `Approaches`, `Routes` and `ShortPlans` (0:
     none). ``planner`` makes another planner in place of all of these, by the keywords ``horizon``
-    and ``limits``. ``clearance`` [m] adds an `AvoidingCost` with this gap to bodies that the task
-    does not name. ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s.
+    and ``limits``. ``clearance`` [m] is the gap to be kept from bodies that the task does not name,
+    0 forbids touches alone, None neither. ``deadline`` is in seconds; ``node_capacity`` is
+    `MPCPolicy`'s.
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
-    them; the recorded episodes keep the truth. ``sensor`` has the error rates that the correction
-    assumes, by default those of ``faults``, and without faults is the model's `default_sensor`.
-    ``motion_noise`` is `MPC`'s; ``noise`` is added to the observed motion.
+    them; the recorded episodes keep the truth. The correction assumes the error rates of
+    ``faults``, without faults the model's `default_sensor`. ``motion_noise`` is `MPC`'s; ``noise``
+    is added to the observed motion.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
     control, or a number is out of range.
@@ -116,43 +114,45 @@ def task_policy(
     control_size = len(limits.lower)
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
-    if sensor is None:
-        sensor = default_sensor(model) if faults.exact else faults.sensor
+    sensor = default_sensor(model) if faults.exact else faults.sensor
     if planner is None:
-        planner = partial(_planner, model, task, iterations, starts, routes, segment)
+        made = _planner(model, task, horizon, iterations, limits, starts, routes, segment)
+    else:
+        made = planner(horizon=horizon, limits=limits)
     mpc = MPC(
         model,
-        planner(horizon=horizon, limits=limits),
+        made,
         replace(sensor, reports_touch="holding" not in observation),
         replan_every,
         deadline,
         motion_noise=motion_noise,
     )
-    turns = turn_length_of(model) is not None
-    own_cost = TaskCost.of(terms, control_size, task.cost_terms, turns)
-    scene_cost, candidates = (own_cost, terms.candidates) if cost is None else (cost, ())
-    if clearance is not None:
-        scene_cost = AvoidingCost(scene_cost, clearance, candidates=candidates)
-    size = scene_cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
+    candidates = terms.candidates if cost is None else ()
+    if cost is None:
+        turns = turn_length_of(model) is not None
+        cost = TaskCost(terms, control_size, task.cost_terms, turns)
+    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
     if size != control_size:  # before compilation
         raise InvalidInputError(
             f"the cost is for control size U {size}, but the task has {control_size}; they must "
             "agree"
         )
-    active = ActiveSetMPC(mpc)
-    return MPCPolicy(active, scene_cost, node_capacity, faults, measured, noise, candidates)
+    if clearance is not None:
+        avoid_others(task.scene, terms.chain, clearance)
+    return MPCPolicy(
+        ActiveSetMPC(mpc), cost, node_capacity, faults, measured, noise, candidates, clearance
+    )
 
 
 def _planner(
     model: StepModel,
     task: Task,
+    horizon: int,
     iterations: int,
+    limits: ControlLimits,
     starts: int,
     routes: int,
     segment: int,
-    *,
-    horizon: int,
-    limits: ControlLimits,
 ) -> Planner:
     """Of the options of `task_policy`; a task's switches add their schedules."""
     proposals: list[Proposal] = []

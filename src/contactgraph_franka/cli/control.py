@@ -275,7 +275,7 @@ def mpc_planner(name: str, max_force: float, options: PlanOptions) -> Planner:
     return MPCPlanner(
         model,
         pickup.pickup_scene(model.dt, goal),
-        TaskCost.of(replace(pickup.pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
+        TaskCost(replace(pickup.pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
         max_force,
         horizon=options.horizon,
         planner=None if options.planner is None else load_object("--planner", options.planner),

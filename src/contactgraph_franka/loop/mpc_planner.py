@@ -12,7 +12,7 @@ from contactgraph.data import InvalidInputError, Scene
 from contactgraph.model import ContactDynamics, ContactSensor, MotionNoise, scene_nodes
 from contactgraph.model.scene import check_fit
 from contactgraph.policies import PlannerFactory, SceneCost
-from contactgraph.policies.episode_record import plan_feedback
+from contactgraph.policies.mpc_policy import plan_feedback
 from contactgraph_franka.loop import EpisodeStart, PlanFeedback, TimedObservation
 
 _SHARES = np.array([0.5, 0.5, np.sqrt(0.5)])

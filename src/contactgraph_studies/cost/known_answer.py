@@ -36,7 +36,7 @@ def own_cost(task: StudyTask) -> LearnedCost:
     made.reset(seed=0)
     scene, terms = made.scene, made.cost_terms()
     control_size = cast(gymnasium.spaces.Box, made.action_space).shape[0]
-    whole = TaskCost.of(terms, control_size).in_scene(scene).quadratic(scene.node_count)
+    whole = TaskCost(terms, control_size).in_scene(scene).quadratic(scene.node_count)
     D = scene.dimension
     rows = _state_rows(terms.chain, 2 * D)
     return LearnedCost(

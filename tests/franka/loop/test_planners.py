@@ -89,7 +89,7 @@ def control(
 
 
 def planner_of(model: ContactDynamics, max_force: float = MAX_FORCE) -> MPCPlanner:
-    return MPCPlanner(model, pickup_scene(model.dt, GOAL), TaskCost.of(pickup_cost(), 3), max_force)
+    return MPCPlanner(model, pickup_scene(model.dt, GOAL), TaskCost(pickup_cost(), 3), max_force)
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +172,6 @@ def test_skipped_observations_update_the_belief_and_one_plan_is_made(
 def test_invalid_arguments(model: ContactDynamics) -> None:
     with pytest.raises(InvalidInputError, match=r"max_force must be positive, found 0\.0"):
         planner_of(model, 0.0)
-    cost = TaskCost.of(pickup_cost(), 3)
+    cost = TaskCost(pickup_cost(), 3)
     with pytest.raises(InvalidInputError, match=r"the model is for dt 0\.01 s, but the robot has"):
         MPCPlanner(model, pickup_scene(0.02, GOAL), cost, 16.0)
