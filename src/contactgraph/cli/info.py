@@ -124,8 +124,6 @@ def _print_cost(path: Path) -> None:
 
 def cost_lines(cost: "LearnedCost") -> list[str]:
     """The cost's nodes, weights and imitation loss, as lines of text."""
-    import numpy as np
-
     from contactgraph.control import cost_terms
 
     lines = [f"kept     {each.name}: {each.reason}" for each in cost.task_nodes if each.kept]
@@ -144,7 +142,7 @@ def cost_lines(cost: "LearnedCost") -> list[str]:
     lines += [
         f"{each.kind} {' - '.join(each.nodes)}  each step "
         f"{'of contact' if each.kind == 'avoid' else 'without'} costs as much as "
-        f"{np.ravel(each.weight)[0] ** 0.5:.3g} N"
+        f"{(each.weight if isinstance(each.weight, float) else each.weight[0]) ** 0.5:.3g} N"
         for each in cost.contacts
     ]
     loss = cost.imitation_loss

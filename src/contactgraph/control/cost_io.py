@@ -184,7 +184,7 @@ def _of_steps(
     fields: JsonFields, name: str, size: int | None = None, semi: bool = False
 ) -> np.ndarray:
     """A matrix as `_definite`, or one a step; ``size`` None: as many columns as rows."""
-    value = fields.content.get(name)
+    value: Any = fields.content.get(name)
     first = value[0] if isinstance(value, list) and value else None
     if not (isinstance(first, list) and first and isinstance(first[0], list)):
         return _definite(fields, name, fields.rows(name) if size is None else size, semi)

@@ -271,7 +271,8 @@ def _differing(
     carry = list(start)
     while True:
         grown = _like(carry, jax.eval_shape(step, carry), lanes)
-        if jax.tree.structure(grown) == jax.tree.structure(carry):
+        spread: Any = jax.tree.structure(grown)
+        if spread == jax.tree.structure(carry):
             return carry
         carry = grown
 
