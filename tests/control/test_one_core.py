@@ -1,12 +1,14 @@
 """All threads of the process on one core, and back."""
 
 import os
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
-from contactgraph.control import host, pin_to_core
+from contactgraph.control import compile_small_loops, host, pin_to_core
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2,
@@ -82,3 +84,42 @@ def test_a_core_that_is_not_there_is_an_error():
     with pytest.raises(OSError), pin_to_core(9999):
         pass
     assert os.sched_getaffinity(0) == allowed
+
+
+LOOP = """
+import jax, jax.numpy as jnp
+from contactgraph.control import compile_small_loops
+{call}
+from contactgraph.control.host import loop_options
+
+def roll(x):
+    rows = jnp.ones((20, 40, 40)) / 40
+    return jax.lax.scan(lambda x, row: (jnp.tanh(row @ x), jnp.sum(x)), x, rows)
+
+compiled = jax.jit(roll, compiler_options=loop_options()).lower(jnp.ones(40)).compile()
+print("xla_cpu_small_call" in compiled.as_text(), float(compiled(jnp.ones(40))[1].sum()))
+"""
+
+
+def compiled_loop(call):
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": ""}
+    program = [sys.executable, "-c", LOOP.format(call=call)]
+    found = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
+    small, total = found.stdout.split()
+    return small == "True", float(total)
+
+
+def test_a_loop_of_a_plan_is_one_kernel_where_that_is_asked_for():
+    small, total = compiled_loop("compile_small_loops()")
+    listed, same = compiled_loop("")
+    assert small and not listed
+    assert total == pytest.approx(same, rel=1e-5)
+
+
+def test_options_of_xla_that_are_set_stay(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    compile_small_loops()
+    flags = os.environ["XLA_FLAGS"].split()
+    assert flags[0] == "--xla_cpu_enable_fast_math=false" and len(flags) == 2
+    compile_small_loops()
+    assert os.environ["XLA_FLAGS"].split() == flags

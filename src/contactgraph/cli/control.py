@@ -133,6 +133,7 @@ class Control(BeliefOptions, SceneOptions):
         from contactgraph.cli.control_output import NOT_PLANNED, NOT_PREDICTED, print_summary
         from contactgraph.cli.models import data_simulator
         from contactgraph.cli.output import check_writable, progress, write_json
+        from contactgraph.control import compile_small_loops
         from contactgraph.envs.registry import task_factory
         from contactgraph.evaluate import control_task, evaluate_open_loop
         from contactgraph.viz import (
@@ -142,6 +143,7 @@ class Control(BeliefOptions, SceneOptions):
             write_animation,
         )
 
+        compile_small_loops()
         for path in (self.json, self.video, self.save):
             check_writable(path)
         if self.video is not None:

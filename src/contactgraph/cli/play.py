@@ -63,11 +63,13 @@ class Play:
         import webbrowser
 
         from contactgraph.cli.output import check_writable
+        from contactgraph.control import compile_small_loops
         from contactgraph.envs.registry import SHIPPED, task_factory, task_names, task_spec
         from contactgraph.model import shipped_models
         from contactgraph.play import Session, StageChoice
         from contactgraph.play.server import listening_socket, origin_of, serve_session
 
+        compile_small_loops()
         check_range("--port", self.port, 0, 65535)
         check_seed(self.seed)
         check_writable(self.record)

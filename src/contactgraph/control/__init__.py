@@ -17,6 +17,7 @@ from contactgraph.control.cost_io import describe_cost as describe_cost
 from contactgraph.control.cost_io import read_cost as read_cost
 from contactgraph.control.cost_io import write_cost as write_cost
 from contactgraph.control.cost_learner import learn_cost as learn_cost
+from contactgraph.control.host import compile_small_loops as compile_small_loops
 from contactgraph.control.host import pin_to_core as pin_to_core
 from contactgraph.control.ilqr import ILQR as ILQR
 from contactgraph.control.ilqr import PlanningProblem as PlanningProblem

@@ -23,6 +23,9 @@ handed over as it is."""
 
 T = TypeVar("T")
 
+_SMALL_LOOP = 10_000_000
+"""Bytes."""
+
 Motion = tuple[np.ndarray, np.ndarray]
 """Position m and velocity m/s of all nodes, each [N, G]."""
 
@@ -122,6 +125,31 @@ def placed(arrays: T) -> T:
     chosen = settings.jax_platforms or settings.jax_default_device
     on_cpu = bool(chosen) or jax.default_backend() == "cpu"
     return jax.device_put(arrays, None if on_cpu else jax.devices("cpu")[0])
+
+
+def compile_small_loops() -> None:
+    """Loops of plans become one kernel each in this process; call it before JAX computes anything.
+
+    XLA runs a compiled loop on the CPU as a list of kernels, of which each costs its dispatch, and
+    makes one kernel of a loop that accesses little memory only: the bound, in bytes, is raised here
+    by the environment variable XLA_FLAGS, unless that has ``xla_backend_extra_options`` already. A
+    control step takes about half of the time. Large matrix products inside such loops are slower.
+    """
+    flags, option = os.environ.get("XLA_FLAGS", ""), "--xla_backend_extra_options="
+    if option not in flags:
+        bound = f"{option}xla_cpu_small_while_loop_byte_threshold={_SMALL_LOOP}"
+        os.environ["XLA_FLAGS"] = f"{flags} {bound}".strip()
+
+
+@functools.cache
+def loop_options() -> dict[str, str]:
+    """Options of `jax.jit` under which loops are small: products of matrices stay loops, too."""
+    options = {"xla_cpu_experimental_ynn_fusion_type": ""}
+    try:
+        jax.jit(jax.numpy.sign, compiler_options=options).lower(0.0).compile()
+    except (jax.errors.JaxRuntimeError, ValueError):  # Of another release: it has no such library.
+        return {}
+    return options
 
 
 @contextmanager

@@ -168,7 +168,7 @@ def _operand(value: Any, shape: tuple[int, ...], lanes: int) -> Array:
 
 
 def _sum(factors: Sequence[Array], axes: Sequence[int]) -> Array:
-    """Of products, along short axes written out: of others XLA makes calls of a library."""
+    """Of products, along short axes written out."""
     product = functools.partial(functools.reduce, operator.mul)
     for axis in sorted(axes, reverse=True):
         count = max(each.shape[axis] for each in factors)
@@ -177,8 +177,22 @@ def _sum(factors: Sequence[Array], axes: Sequence[int]) -> Array:
             rows = [[row(each, i % each.shape[axis]) for each in factors] for i in range(count)]
             factors = [functools.reduce(operator.add, map(product, rows))]
         else:
-            factors = [jnp.sum(product(factors), axis=axis)]
+            factors = [_sum_in_loop(factors, axis, count)]
     return product(factors)
+
+
+def _sum_in_loop(factors: Sequence[Array], axis: int, count: int) -> Array:
+    """Of the products along an axis, none of which is written to memory."""
+
+    def add(index: Array, total: Array) -> Array:
+        rows = [
+            jax.lax.dynamic_index_in_dim(each, index % each.shape[axis], axis, keepdims=False)
+            for each in factors
+        ]
+        return total + functools.reduce(operator.mul, rows)
+
+    shape = jnp.broadcast_shapes(*(each.shape for each in factors))
+    return jax.lax.fori_loop(0, count, add, jnp.zeros(np.delete(shape, axis), factors[0].dtype))
 
 
 def _product(params: dict[str, Any], shapes: list[tuple[int, ...]], values: list[Any]) -> Any:

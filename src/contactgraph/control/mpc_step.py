@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from contactgraph.control.box_qp import AffinePolicy
 from contactgraph.control.cost import QuadraticCost
-from contactgraph.control.host import Measured, placed
+from contactgraph.control.host import Measured, loop_options, placed
 from contactgraph.control.plan import Plan, Planner, PlanStatus, shift_plan
 from contactgraph.control.program_store import stored
 from contactgraph.control.rollout import SweptBounds
@@ -183,4 +183,5 @@ def jit_step(method: Callable, config: MPCConfig, like: int | None = None) -> Ca
         return method(rebuilt, *inputs)
 
     after_leaves = None if like is None else like + 1
-    return partial(jax.jit(stored(call, (method, static), after_leaves)), tuple(leaves))
+    traced = stored(call, (method, static), after_leaves)
+    return partial(jax.jit(traced, compiler_options=loop_options()), tuple(leaves))

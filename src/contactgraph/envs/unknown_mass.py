@@ -54,16 +54,16 @@ class ForcedPush(NoisyPolicy):
             )
         self._push.reset(replace(scene, control_kind=("displacement", "displacement")), seed)
         super().reset(scene, seed)
-        self._force, self._velocity = np.zeros(2), np.zeros(2)
+        self._given, self._velocity = np.zeros(2), np.zeros(2)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The control ``[2]`` N."""
         velocity = observation["velocity"][GRIPPER]
-        resistance = self._force - MASS * (velocity - self._velocity) / DT
+        resistance = self._given - MASS * (velocity - self._velocity) / DT
         force = MASS * (self._push(observation) - velocity) / TIME_CONSTANT + self._noise()
         force += np.clip(resistance, -MOST_RESISTANCE, MOST_RESISTANCE)
-        self._force, self._velocity = np.clip(force, -MAX_FORCE, MAX_FORCE), velocity
-        return self._force
+        self._given, self._velocity = np.clip(force, -MAX_FORCE, MAX_FORCE), velocity
+        return self._given
 
 
 class UnknownMassTask(CarryTask):

@@ -78,7 +78,7 @@ class ContactBelief(eqx.Module):
     def over(self, edge_id: Int[Array, " E"] | None, count: int) -> "ContactBelief":
         """The same belief, of one step, over other edges; `count` is the number of all pairs."""
         types = self.type_probability
-        inactive = jnp.zeros(types.shape[-1], types.dtype).at[0].set(1.0)
+        inactive = jnp.eye(1, types.shape[-1], dtype=types.dtype)[0]
 
         def moved(values: Array, unlisted: Array) -> Array:
             if edge_id is None:

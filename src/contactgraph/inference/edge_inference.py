@@ -216,8 +216,8 @@ class DurationEdges(EdgeInference):
         """Features of every edge, its pull, approach and gap; the types come first in ``node``."""
         ends = jnp.sum(node[edge_index, : len(self.servos)], axis=0)
         known = pull_approach_gap_and_switches(switches=self.commands, **step).astype(node.dtype)
-        known = known.at[:, 0].multiply(ends @ np.array(self.servos) == 0.0)
-        own = known[:, np.array([0, 1, 1 + len(GAP_SCALES)])]
+        pull = known[:, :1] * (ends @ np.array(self.servos) == 0.0)[:, None]
+        own = jnp.concatenate([pull, known[:, np.array([1, 1 + len(GAP_SCALES)])]], axis=-1)
         return jnp.concatenate([known[:, 2:], ends, own], axis=-1)
 
     def init(self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]) -> ContactBelief:
@@ -239,17 +239,20 @@ class DurationEdges(EdgeInference):
         """What touched is free where there is a gap before the step: its next touch is another."""
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
         ended = jnp.where(unilateral[:, None] & (embedding[:, -1:, None] > 0), table, 0.0)
-        return (table - ended).at[:, 0, 0].add(jnp.sum(ended, axis=(1, 2)))
+        new = np.zeros(table.shape[1:])
+        new[0, 0] = 1.0
+        return table - ended + new * jnp.sum(ended, axis=(1, 2), keepdims=True)
 
     def transitions(
         self, embedding: Float[Array, "E M"], prior: Float[Array, "E K"]
     ) -> Float[Array, "E K A K"]:
         """T: the probability of each type after the step, given type and age before it."""
-        (edges, count), (limit, steeper) = prior.shape, _PACE * self.strength
+        count, (limit, steeper) = prior.shape[1], _PACE * self.strength
         features, (pull, approaches, gap) = embedding[:, :-3], embedding[:, -3:].T
         meets = jnp.maximum(1.0 - prior[:, 0], _MIN_PROBABILITY)
         unilateral = np.array([False, *(each.unilateral for each in self.edge_types)])
-        touches, holds = np.flatnonzero(unilateral), np.flatnonzero(~unilateral)[1:]
+        types, free = np.arange(count), np.arange(count) == 0
+        holds = np.flatnonzero(~unilateral & ~free)
         # A hold lasts wherever its ends are driven, and begins where they meet.
         odds = _PACE * jnp.einsum("khf,ef->ekh", self.coefficients, features)
         odds -= _DISTANT * jnp.maximum(gap, 0.0)[:, None, None]
@@ -260,18 +263,18 @@ class DurationEdges(EdgeInference):
         # A strong pull ends it, whatever the odds.
         excess = jnp.log(jnp.maximum(pull, _MIN_PROBABILITY))[:, None, None] - limit
         unbroken = jax.nn.sigmoid(-(2.0 + jnp.exp(steeper)) * excess)
-        lasts = holds == np.arange(count)[:, None]
+        lasts = holds == types[:, None]
         held *= (unbroken * jnp.where(lasts, 1.0, meets[:, None, None]))[:, :, None]
         # Geometry says whether bodies that are not held touch.
-        stays = jnp.where(unilateral, _TOUCHES, 0.0) * jnp.ones((edges, 1))
-        stays = stays.at[:, 0].set(jnp.where(approaches > 0, 0.0, _STAYS_FREE))
+        stays_free = jnp.where(approaches[:, None] > 0, 0.0, _STAYS_FREE)
+        stays = jnp.where(free, stays_free, jnp.where(unilateral, _TOUCHES, 0.0))
         others = jnp.where(gap[:, None] > 0, 0.0, stays)[:, None] * np.eye(count)
-        others = others.at[..., touches].add(jnp.log(meets)[:, None, None])
-        others = others.at[..., 0].add(jnp.log(jnp.maximum(prior[:, :1], _MIN_PROBABILITY)))
-        others = jax.nn.softmax(others, where=np.isin(np.arange(count), holds, invert=True))
+        apart = jnp.log(jnp.maximum(prior[:, :1], _MIN_PROBABILITY))
+        others += jnp.where(free, apart, unilateral * jnp.log(meets)[:, None])[:, None]
+        others = jax.nn.softmax(others, where=free | unilateral)
         none_held = 1.0 - jnp.sum(held, axis=-1, keepdims=True)
-        after = (others[:, :, None] * none_held).at[..., holds].set(held)
-        least = self.min_transition * jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])
+        after = others[:, :, None] * none_held + held @ (holds[:, None] == types)
+        least = self.min_transition * jnp.where(free, 1.0, 1.0 - prior[:, :1])
         least = least[:, None, None]
         return least + (1.0 - jnp.sum(least, axis=-1, keepdims=True)) * after
 

@@ -220,9 +220,8 @@ class ControlSimulated:
         }
         write_json(self.json, {**summary, "server_ticks_per_wall_s": steps_per_s, "each": results})
         print(f"success {100 * rate:.0f} % ({100 * low:.0f} to {100 * high:.0f})")
-        for one in results:
-            if not one["success"]:
-                print(f"  {one['number']}: {100 * one['distance_m']:.1f} cm; {one['end']}")
+        for one in [each for each in results if not each["success"]]:
+            print(f"  {one['number']}: {100 * one['distance_m']:.1f} cm; {one['end']}")
 
     def _episode(
         self, setup: SimulatedSetup, session: Session, number: int
@@ -266,16 +265,17 @@ def mpc_planner(name: str, max_force: float, options: PlanOptions) -> Planner:
     Raises `InvalidInputError` as `stored_model` does, and for a model of another task.
     """
     from contactgraph.cli.models import stored_model
+    from contactgraph.control import compile_small_loops
     from contactgraph.model import motion_noise
     from contactgraph.policies.task_cost import TaskCost
     from contactgraph_franka.loop.mpc_planner import MPCPlanner
 
+    compile_small_loops()
     model = stored_model(name)
-    goal = np.zeros(3)  # each episode has its own
     return MPCPlanner(
         model,
-        pickup.pickup_scene(model.dt, goal),
-        TaskCost(replace(pickup.pickup_cost(), control_weight=_CONTROL_WEIGHT), len(goal)),
+        pickup.pickup_scene(model.dt, np.zeros(3)),  # each episode has its own goal
+        TaskCost(replace(pickup.pickup_cost(), control_weight=_CONTROL_WEIGHT), 3),
         max_force,
         horizon=options.horizon,
         planner=None if options.planner is None else load_object("--planner", options.planner),
