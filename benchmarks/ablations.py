@@ -99,7 +99,7 @@ ABLATIONS = (
     Ablation(
         "least transitions by geometry",
         _EDGES,
-        "jnp.ones_like(prior).at[:, 1:].set(1.0 - prior[:, :1])",
+        "jnp.where(free, 1.0, 1.0 - prior[:, :1])",
         "jnp.ones_like(prior)",
     ),
     Ablation(
