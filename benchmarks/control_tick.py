@@ -5,7 +5,7 @@ Usage: python benchmarks/control_tick.py [--quick] [--json FILE]
 Whole episodes of the pickup task (horizon 20) and of the arm's (horizon 50, half a second), with
 the shipped models; the arm's need the extra ``mujoco``. `ActiveSetMPC.reset` compiles; its time and
 count are separate, and compilations during control steps appear in the last column. Control steps
-run under `pin_to_core`.
+run under `pin_to_core`, compiled after `compile_small_loops`.
 
 The rows "bystanders" are pickups with distractors away from the paths, as dense as the task's own.
 Each control step is computed for every number of nodes in turn, so that ratios compare the same
@@ -28,6 +28,7 @@ from contactgraph.control import (
     MPCState,
     QuadraticCost,
     chain_cost,
+    compile_small_loops,
     pin_to_core,
 )
 from contactgraph.envs import PickupTask
@@ -200,6 +201,7 @@ def with_distractors(
 
 def main() -> None:
     """Measure and print."""
+    compile_small_loops()
     options = arguments("Time of a control step.")
     episodes = 1 if options.quick else 10
     compilations = Compilations()
