@@ -170,7 +170,7 @@ _MISTAKES = {
     r"Error parsing (\S+): .*arguments: \[(.*)\] Argument": r"\1 must be numbers, found \2",
     r"Error parsing (\S+): (.*?) Argument helptext: ": r"\1: \2",
 }
-"""Messages of the parser as patterns, and as they are told."""
+"""Patterns of the messages of the parser, and what is printed for each."""
 
 
 def _one_line(message: str, name: str) -> str:
@@ -184,8 +184,8 @@ def _one_line(message: str, name: str) -> str:
         # "Missing from ...: DATA The dataset file. (required) --out FOLDER The folder. (required)"
         pieces = text.partition(": ")[2].split("(required)")
         text = "needs " + " and ".join(each.split()[0] for each in pieces if each)
-    for pattern, told in _MISTAKES.items():
+    for pattern, printed in _MISTAKES.items():
         if match := re.search(pattern, text):
-            text = match.expand(told)
+            text = match.expand(printed)
             break
     return f"{command}: {text} (see contactgraph {command} --help)"

@@ -133,7 +133,7 @@ def compile_small_loops() -> None:
     XLA runs a compiled loop on the CPU as a list of kernels, of which each costs its dispatch, and
     makes one kernel of a loop that accesses little memory only: the bound, in bytes, is raised here
     by the environment variable XLA_FLAGS, unless that has ``xla_backend_extra_options`` already. A
-    control step takes about half of the time. Large matrix products inside such loops are slower.
+    pickup's step takes two thirds of the time. Large matrix products in such loops are slower.
     """
     flags, option = os.environ.get("XLA_FLAGS", ""), "--xla_backend_extra_options="
     if option not in flags:
