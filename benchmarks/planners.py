@@ -20,7 +20,7 @@ compile_small_loops()  # before JAX computes anything
 import contactgraph  # noqa: E402
 from contactgraph.control import pin_to_core  # noqa: E402
 from contactgraph.evaluate import control_task  # noqa: E402
-from contactgraph.policies import task_policy  # noqa: E402
+from contactgraph.policies import Planning, task_policy  # noqa: E402
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "extend_planner_mppi.py"
 TASKS = ("pickup", "multi-pickup")
@@ -37,7 +37,7 @@ def measure(name: str, samples: int | None, episodes: int) -> dict[str, str | fl
         example = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(example)
         planner = partial(example.MPPI, samples=samples)
-    policy = task_policy(model, task, planner=planner)
+    policy = task_policy(model, task, Planning(planner=planner))
     task.reset(seed=SEED)
     policy.reset(task.scene, SEED)  # compiles
     with pin_to_core():

@@ -12,7 +12,7 @@ import contactgraph
 from contactgraph.control import AffinePolicy, ControlLimits, Plan, PlanStatus
 from contactgraph.evaluate import control_task
 from contactgraph.model.step import rollout
-from contactgraph.policies import task_policy
+from contactgraph.policies import Planning, task_policy
 
 
 class CEM(eqx.Module):
@@ -60,6 +60,6 @@ class CEM(eqx.Module):
 
 if __name__ == "__main__":
     model, task = contactgraph.load("pickup"), contactgraph.make("pickup")
-    policy = task_policy(model, task, planner=CEM, horizon=15)
+    policy = task_policy(model, task, Planning(planner=CEM, horizon=15))
     metrics = control_task(policy, task, 3, seed=7).metrics
     print(f"{100 * metrics.success_rate:.0f} % of 3 episodes, {metrics.plan_ms_p50:.1f} ms a step")

@@ -308,8 +308,8 @@ def test_control(
 class ByTheExpert:
     """In place of a `task_policy`: the expert, with perfect plans."""
 
-    def __init__(self, model, task, *, horizon, **options):
-        self.horizon, self.expert = horizon, PickupExpert()
+    def __init__(self, model, task, plans, **options):
+        self.horizon, self.expert = plans.horizon, PickupExpert()
 
     def reset(self, scene, seed):
         self.path = []

@@ -188,11 +188,14 @@ def test_control_searches_where_bodies_are_pushed_and_the_model_allows_it(
     monkeypatch.setattr("contactgraph.cli.models.stored_model", lambda name: model)
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", task, *options]) == 130
-    assert calls[0].options["starts"] == starts
+    assert calls[0].arguments[2].starts == starts
 
 
 def test_control_plans_with_it(
-    cost: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], interrupted: Callable
+    cost: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    interrupted: Callable,
 ) -> None:
     """Twice as far as with the task's own cost, unless it demands a contact."""
     demanding = tmp_path / "touch.json"
@@ -201,7 +204,7 @@ def test_control_plans_with_it(
     calls = interrupted("contactgraph.policies.task_policy")
     for options in (["--cost", str(cost)], ["--cost", str(demanding)], []):
         assert cli.run(["control", "pickup", "pickup", *options]) == 130
-    assert [call.options["horizon"] for call in calls] == [40, 20, 20]
+    assert [call.arguments[2].horizon for call in calls] == [40, 20, 20]
     planned, demands, own = (call.options["cost"] for call in calls)
     assert isinstance(planned, LearnedCost) and np.array_equal(planned.Q, read_cost(cost).Q)
     assert len(demands.contacts) == 1 and own is None

@@ -117,9 +117,9 @@ def test_a_model_of_that_name_is_given_as_a_path(
 def test_episodes_too_short_to_predict_are_measured_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def short(model, task, **options):
+    def short(model, task, plans, **options):
         task.max_steps = 9
-        return ByTheExpert(model, task, **options)
+        return ByTheExpert(model, task, plans)
 
     monkeypatch.setattr("contactgraph.policies.task_policy", short)
     result = tmp_path / "out.json"

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +22,12 @@ from contactgraph.envs.registry import (
     task_spec,
 )
 from contactgraph.evaluate.forced import recorded_task
-from contactgraph.policies import planning
+from contactgraph.model import load_model, shipped_model
+from contactgraph.policies import Planning, task_policy
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LINE = "extend_task:Line"
+MODEL = load_model(shipped_model("pickup")).model
 
 
 @pytest.fixture
@@ -88,7 +91,7 @@ def test_collect_and_control_take_a_class(
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", LINE, "--distractors", "1"]) == 130
     (call,) = calls
-    assert type(call.arguments[1]).__name__ == "Line" and call.options["horizon"] == 20
+    assert type(call.arguments[1]).__name__ == "Line"
 
 
 @pytest.mark.parametrize(
@@ -200,20 +203,33 @@ def test_a_class_has_the_defaults_of_a_shipped_task(own_task: str) -> None:
     servo = task_spec(own_task)
     assert servo.explorer is RestPolicy and servo.exploration == 0.25
     shipped = task_spec("fetch-push")
-    assert planning(begun(own_task)) == (
-        *(shipped.horizon, shipped.starts),
-        "the control is a displacement",
-    )
-    assert planning(begun("own_task:Long"))[:2] == (45, 64)
-    assert planning(begun("pickup")) == (20, 0, "the control is a force")
-    assert planning(begun("billiards")) == (60, 64, "the task says so")
+
+    def plans(name: str, **options: Any) -> tuple:
+        found = Planning(**options).chosen(begun(name), MODEL)
+        assert found.chosen(begun(name), MODEL) == found
+        return found.horizon, found.starts, found.routes, found.clearance, found.reason
+
+    servo_plans = shipped.horizon, shipped.starts, 0, None, "the control is a displacement"
+    assert plans(own_task) == servo_plans
+    # Routes, round what is not to be touched, replace the search.
+    assert plans("own_task:Long") == (45, 0, 7, 0.02, "the control is a displacement")
+    assert plans("pickup") == (20, 0, 0, None, "the control is a force")
+    assert plans("billiards") == (60, 64, 0, None, "the task says so")
+    assert plans("pickup", horizon=9, starts=8) == (9, 8, 0, None, "as asked for")
+
+
+def test_a_class_plans_in_python_as_by_the_command(own_task: str) -> None:
+    planner = task_policy(MODEL, begun(own_task)).mpc.config.planner
+    (approaches,) = planner.proposals
+    assert (planner.horizon, approaches.starts) == (30, 64)
 
 
 def test_a_hidden_switch_changes_how_to_plan() -> None:
     for hidden, starts in ((False, 0), (True, 32)):
         task = make("suction", hidden_switch=hidden)
         task.reset(seed=0)
-        assert planning(task)[:2] == (20, starts)
+        plans = Planning().chosen(task, MODEL)
+        assert (plans.horizon, plans.starts) == (20, starts)
 
 
 def test_a_class_with_the_attributes_of_a_shipped_task_gets_the_same_entry() -> None:
@@ -255,8 +271,10 @@ def test_control_and_play_take_an_option(own_task: str, interrupted: Callable) -
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", own_task, "--option", "gain=2"]) == 130
     assert cli.run(["control", "pickup", "own_task:Long"]) == 130
-    assert calls[0].arguments[1].gain == 2 and calls[0].options["clearance"] is None
-    assert (calls[1].options["clearance"], calls[1].options["routes"]) == (0.02, 7)
+    assert calls[0].arguments[1].gain == 2
+    first, second = (call.arguments[2] for call in calls)
+    assert (first.clearance, first.starts) == (None, 64)
+    assert (second.clearance, second.starts, second.routes) == (0.02, 0, 7)
     begun = interrupted("contactgraph.play.Session")
     assert cli.run(["play", "pickup", own_task, "--option", "gain=3"]) == 130
     assert begun[0].arguments[1].keywords["options"] == {own_task: {"gain": 3}}
@@ -296,7 +314,8 @@ def test_control_and_play_take_a_planner(
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", "pusht", *named]) == 130
     (call,) = calls
-    assert call.options["planner"].__name__ == "MPPI" and call.options["starts"] == 0
+    plans = call.arguments[2]
+    assert plans.planner.__name__ == "MPPI" and plans.starts == plans.routes == 0
     begun = interrupted("contactgraph.play.Session")
     assert cli.run(["play", "pickup", *named]) == 130
     assert begun[0].arguments[1].keywords["planner"].__name__ == "MPPI"

@@ -133,7 +133,7 @@ NO_MODEL = "nobody: no such run folder or model file; models that ship are"
         ("control nobody pickup --horizon 0", "--horizon must be 1 to 1000, found 0"),
         ("control nobody pickup --clearance -1", "--clearance must be 0 to 10, found -1"),
         ("control nobody pickup --routes 1001", "--routes must be 0 to 1000, found 1001"),
-        ("control nobody pickup --segment 21", "--segment must be 0 to 20, found 21"),
+        ("control pickup pickup --segment 21", "--segment must be 0 to 20, found 21"),
         (
             "control franka franka --clearance 0.1 --routes 0",
             "a clearance from bodies needs their radius, which the scene has not; with a ",

@@ -27,6 +27,7 @@ from contactgraph.control import (
 from contactgraph.data import InvalidInputError, edge_id, pair_indices
 from contactgraph.model import MotionNoise, load_model, shipped_model
 from contactgraph.model.step import rollout
+from contactgraph.policies import plan_feedback
 
 CAPACITY, HORIZON = 30, 12
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -208,20 +209,16 @@ def test_capacity_grows_once_and_is_logged(model, caplog):
     assert "up to 30 active nodes; so far there was room for 18" in message
 
 
-def test_the_active_set_never_exceeds_its_limit(model):
-    mpc = ActiveSetMPC(MPC(model, ILQR(HORIZON, 5, LIMITS)), max_active_nodes=2)
-    nodes, near = nodes_of(11, CAPACITY), scene(11, others=[0.5 * (GRIPPER + TARGET)])
-    state = mpc.reset(scene(11), nodes, cost())
-    plan, state = mpc.step(scene(11), None, state)
-    dense, after = mpc.step(near, None, state)
-    assert dense.outcome == PlanStatus.CAPACITY_EXCEEDED and "limit" in dense.outcome.message
-    np.testing.assert_array_equal(dense.controls[:-1], plan.controls[1:])
-    np.testing.assert_array_equal(after.carry.filter.control, dense.controls[0])
-    assert mpc.step(scene(11), None, after)[0].outcome.solved
-    with pytest.raises(InvalidInputError, match=r"max_active_nodes must be at least 3 .* found 2"):
-        mpc.reset(near, nodes, cost())
-    with pytest.raises(InvalidInputError, match="max_active_nodes must be at least 1, found 0"):
-        ActiveSetMPC(MPC(model, ILQR(HORIZON)), max_active_nodes=0)
+def test_a_step_never_compiles_where_reset_has(model, compilations):
+    mpc = ActiveSetMPC(MPC(model, ILQR(HORIZON, 5, LIMITS)), ready=CAPACITY)
+    state = mpc.reset(scene(30), nodes_of(30, CAPACITY), cost())
+    _, state = mpc.step(scene(30), None, state)
+    before = len(compilations)
+    plan, state = mpc.step(scene(30, others=BESIDE), None, state)
+    assert plan.outcome.solved and len(state.node_ids) > 18
+    assert len(compilations) == before
+    with pytest.raises(InvalidInputError, match="ready must be at least 1, found 0"):
+        ActiveSetMPC(MPC(model, ILQR(HORIZON)), ready=0)
 
 
 def test_inactive_nodes_must_be_observed_too(local):
@@ -265,11 +262,12 @@ def test_another_cost_activates_its_nodes(local, whole):
 
 def test_feedback_acts_on_active_nodes(local, whole):
     observed, nodes = crowd(11, seed=3), nodes_of(11, CAPACITY)
-    moved = {**observed, "position": observed["position"] + 0.01 * (np.arange(11) == 0)[:, None]}
+    moved = observed["position"] + 0.01 * (np.arange(11) == 0)[:, None]
     controls = []
     for mpc in (local, whole):
         plan, _ = mpc.step(observed, None, mpc.reset(observed, nodes, cost()))
-        controls.append(mpc.control(plan, moved))
+        feedback = plan_feedback(plan, 0.05, 11, 2)
+        controls.append(feedback(0.0, moved, observed["velocity"]))
     np.testing.assert_allclose(*controls, atol=1e-7)
     assert np.max(np.abs(controls[0] - plan.controls[0])) > 1e-3
 
@@ -279,7 +277,7 @@ def test_between_plans_and_by_motion_the_beliefs_are_those_of_all(model, noise):
     answers = []
     options = {"replan_every": 2, "motion_noise": noise}
     for mpc in (
-        ActiveSetMPC(MPC(model, ILQR(3, 1), **options), max_active_nodes=4),
+        ActiveSetMPC(MPC(model, ILQR(3, 1), **options)),
         MPC(model, ILQR(3, 1), **options),
     ):
         about = chain_cost((0, 1), [3, 3, 0.2, 0.2], [50, 50, 1, 1], 0.01, GOAL, 5)

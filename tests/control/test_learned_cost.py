@@ -29,7 +29,7 @@ from contactgraph.data import Dataset, InvalidInputError, Scene, Trajectory
 from contactgraph.envs import PickupExpert, PickupTask, RestPolicy
 from contactgraph.evaluate import collect, control_task
 from contactgraph.model import ContactBelief, load_model, scene_nodes, shipped_model
-from contactgraph.policies import task_policy
+from contactgraph.policies import Planning, task_policy
 
 RECIPE = CostLearningConfig(steps=50, batch=64)
 LIMITS = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
@@ -90,7 +90,7 @@ def test_terms_stand_for_themselves_and_one_ties_the_gripper_to_the_target(cost)
 @pytest.mark.slow
 def test_it_solves_new_scenes_and_goals(model, cost):
     task = PickupTask(3)
-    policy = task_policy(model, task, cost=cost, horizon=40)
+    policy = task_policy(model, task, Planning(horizon=40), cost=cost)
     result = control_task(policy, task, 6, 31)
     metrics, runs = result.metrics, result.trajectories
     assert metrics.success_rate == 1.0

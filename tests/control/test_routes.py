@@ -123,7 +123,7 @@ def test_the_control_of_a_wanted_velocity_gives_it() -> None:
 
 
 def test_what_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match="routes must be 1 or more and speed positive"):
+    with pytest.raises(InvalidInputError, match="routes must be 1 or more, found 0"):
         Routes(0)
     still = state_of(np.zeros((2, 2)), np.zeros((2, 2)))
     two = chain_cost((0, 1), np.ones(4), np.ones(4), 1.0, np.zeros(2), 2)

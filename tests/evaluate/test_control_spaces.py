@@ -14,7 +14,7 @@ from contactgraph.data import InvalidInputError
 from contactgraph.envs import ChainCost, RestPolicy, StickyTask
 from contactgraph.evaluate import control_task, episode_seeds
 from contactgraph.model import LinearDynamics, two_type_belief
-from contactgraph.policies import TaskCost
+from contactgraph.policies import Planning, TaskCost
 
 STEPS = 24
 GAIN = {"displacement": 0.05, "position": 0.3}
@@ -92,8 +92,7 @@ def controlled(kind, low, high, start, goal, **options):
     task, records = partial(HandTask, kind, low, high, start, goal, **options), []
     metrics, (trajectory,) = by_model(
         *(Hand(kind, len(low)), task, 1, 0),
-        horizon=8,
-        iterations=4,
+        plans=Planning(horizon=8, iterations=4),
         on_episode=lambda _, record: records.append(record),
     )
     return metrics, trajectory, records[0]
@@ -228,4 +227,4 @@ def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
     for seed in range(3):
         task.reset(seed=seed)
         assert cost.in_scene(task.scene).order == (0, 1 + seed)
-    assert cost.order == (0, 1)
+    assert cost.terms.chain == (0, 1)

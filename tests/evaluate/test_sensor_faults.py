@@ -8,7 +8,7 @@ from contactgraph.data import Dataset, InvalidInputError, strip_contacts
 from contactgraph.envs import PickupExpert, PickupTask
 from contactgraph.evaluate import collect, evaluate_open_loop
 from contactgraph.model import ContactSensor
-from contactgraph.policies import SensorFaults
+from contactgraph.policies import Planning, SensorFaults
 
 RUN = random_run(6, 2000, 0)
 OFF_DIAGONAL = ~np.eye(6, dtype=bool)
@@ -91,7 +91,7 @@ class Trusted(SensorFaults):
 
 
 def test_the_controller_observes_faults_and_the_recording_is_exact():
-    beliefs, runs = {}, {}
+    beliefs, runs, plans = {}, {}, Planning(horizon=5, iterations=2)
     for name, faults, measured in (
         ("exact", SensorFaults(), True),
         ("late", Trusted(delay_steps=20), True),
@@ -99,7 +99,7 @@ def test_the_controller_observes_faults_and_the_recording_is_exact():
     ):
         records = []
         _, (runs[name],) = by_model(
-            GluedBodies(), PickupTask, 1, 0, horizon=5, iterations=2, faults=faults,
+            GluedBodies(), PickupTask, 1, 0, plans=plans, faults=faults,
             measured=measured,
             on_episode=lambda run, record, to=records: to.append(record),
         )  # fmt: skip

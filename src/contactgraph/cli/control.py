@@ -34,18 +34,12 @@ if TYPE_CHECKING:
     from contactgraph.policies import EpisodeRecord
     from contactgraph.viz import SceneTrajectory
 
-_HORIZON_WITHOUT_CONTACTS = 2
-"""Factor of the default horizon with a learned cost that does not demand the contacts that its
-demonstrations made: a plan that ends before their benefit would hover before the object."""
-
 _RECORDED = (
     *("cost", "horizon", "iterations", "starts", "routes", "segment", "planner", "clearance"),
     *("replan_every", "false_alarms", "misses", "delay", "fault", "unmeasured"),
     *("position_noise", "velocity_noise", "inference"),
 )
 """Options that only a model takes; the JSON file repeats them."""
-_ROUTES = 7
-"""With a clearance: with the running plan they fill a vector of eight."""
 _SCRIPTED = ("expert", "fixed-start")
 """Names in place of a MODEL; a file or folder of such a name is given as a path, ``./expert``."""
 _PREDICTED_S = 0.5
@@ -206,25 +200,14 @@ class Control(BeliefOptions, SceneOptions):
     def _mpc(self, task: "Task") -> _Controller:
         """MPC with the model."""
         from contactgraph.cli.models import motion_evidence, stored_model, with_inference
-        from contactgraph.control import read_cost, searches
-        from contactgraph.policies import ObservationNoise, planning, task_policy
+        from contactgraph.control import read_cost
+        from contactgraph.policies import ObservationNoise, Planning, task_policy
 
-        cost = None if self.cost is None else read_cost(self.cost)
-        task.reset(seed=self.seed)
-        horizon, default_starts, reason = planning(task)
-        if cost is not None and not cost.contacts:
-            horizon *= _HORIZON_WITHOUT_CONTACTS
-        if self.horizon is not None:
-            horizon, reason = self.horizon, "--horizon"
-        check_range("--horizon", horizon, 1, 1000)
+        check_range("--horizon", 1 if self.horizon is None else self.horizon, 1, 1000)
         check_range("--iterations", self.iterations, 1, 1000)
-        of_task = getattr(task, "clearance", None)
-        clearance = of_task if self.clearance is None else self.clearance
-        routes = (0 if clearance is None else _ROUTES) if self.routes is None else self.routes
         check_range("--starts", self.starts or 0, 0, 10_000)
-        check_range("--routes", routes, 0, 1000)
-        check_range("--segment", self.segment, 0, horizon)
-        check_range("--clearance", clearance or 0, 0, 10)
+        check_range("--routes", self.routes or 0, 0, 1000)
+        check_range("--clearance", self.clearance or 0, 0, 10)
         fault = self.sensor_fault(self.seed)
         if self.unmeasured and not fault.exact:
             raise InvalidInputError(
@@ -233,31 +216,33 @@ class Control(BeliefOptions, SceneOptions):
             )
         noise = ObservationNoise(self.position_noise, self.velocity_noise, self.seed)
         model = with_inference(stored_model(self.model), self.inference)
-        starts, planner = self.starts, None
+        by_motion = motion_evidence(model, self.ignore_motion, noise.position, noise.velocity)
+        planner = None
         if self.planner is not None:
-            if starts or self.routes or self.segment:
+            if self.starts or self.routes or self.segment:
                 raise InvalidInputError(
                     "--planner: it plans alone, so --starts, --routes and --segment must be left "
                     "out"
                 )
-            planner, starts, routes = load_object("--planner", self.planner), 0, 0
-        if starts is None:
-            starts = default_starts if searches(model) and not routes + self.segment else 0
-        tried = {"approaches": starts, "routes": routes, "steps of short plans": self.segment}
-        search = "; ".join(["iLQR", *(f"{n} {what}" for what, n in tried.items() if n)])
-        by_motion = motion_evidence(model, self.ignore_motion, noise.position, noise.velocity)
+            planner = load_object("--planner", self.planner)
+        cost = None if self.cost is None else read_cost(self.cost)
+        task.reset(seed=self.seed)
+        plans = Planning(
+            horizon=self.horizon,
+            iterations=self.iterations,
+            starts=self.starts,
+            routes=self.routes,
+            segment=self.segment,
+            clearance=self.clearance,
+            planner=planner,
+        ).chosen(task, model, cost)
+        check_range("--segment", self.segment, 0, plans.horizon or 0)
         policy = task_policy(
             model,
             task,
+            plans,
             seed=self.seed,
             cost=cost,
-            horizon=horizon,
-            iterations=self.iterations,
-            starts=starts,
-            routes=routes,
-            segment=self.segment,
-            planner=planner,
-            clearance=clearance,
             replan_every=self.replan_every,
             deadline=None if self.deadline_ms is None else self.deadline_ms / 1e3,
             faults=fault,
@@ -265,22 +250,23 @@ class Control(BeliefOptions, SceneOptions):
             noise=noise,
             motion_noise=by_motion,
         )
+        chosen = ("horizon", "starts", "routes", "clearance")
         settings = {
             **{name: getattr(self, name) for name in _RECORDED},
+            **{name: getattr(plans, name) for name in chosen},
             "cost": None if self.cost is None else str(self.cost),
-            "horizon": horizon,
-            "starts": starts,
-            "routes": routes,
-            "clearance": clearance,
             "infer_contacts": by_motion is not None,
         }
-        return _Controller(
-            policy,
-            settings,
-            model,
-            f"plans, {horizon} steps ahead".ljust(27) + f"{self.planner or search} ({reason})",
-            {"faults": fault, "motion_noise": by_motion},
-        )
+        evidence = {"faults": fault, "motion_noise": by_motion}
+        tried = {
+            "approaches": plans.starts,
+            "routes": plans.routes,
+            "steps of short plans": self.segment,
+        }
+        search = "; ".join(["iLQR", *(f"{n} {what}" for what, n in tried.items() if n)])
+        how = f"{self.planner or search} ({plans.reason})"
+        line = f"plans, {plans.horizon} steps ahead".ljust(27) + how
+        return _Controller(policy, settings, model, line, evidence)
 
     def _script(self) -> _Controller:
         """A scripted policy, which predicts, plans and estimates nothing."""

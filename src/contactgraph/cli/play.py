@@ -122,23 +122,11 @@ def stage_parts(
     ``options`` are those of tasks by name.
     """
     from contactgraph.cli.models import motion_evidence, stored_model
-    from contactgraph.control import searches
     from contactgraph.envs.registry import task_factory
     from contactgraph.play import StageParts
-    from contactgraph.policies import planning
 
     given = {**options.get(choice.task, {})}
     if choice.distractors:
         given["distractors"] = choice.distractors
-    task = task_factory(choice.task, given)()
-    task.reset(seed=0)
-    model = stored_model(choice.model)
-    horizon, starts, _ = planning(task)
-    return StageParts(
-        model=model,
-        task=task,
-        horizon=horizon,
-        starts=starts if searches(model) else 0,
-        planner=planner,
-        motion_noise=motion_evidence(model, False),
-    )
+    task, model = task_factory(choice.task, given)(), stored_model(choice.model)
+    return StageParts(model, task, motion_evidence(model, False), planner)

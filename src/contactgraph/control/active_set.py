@@ -29,14 +29,10 @@ from contactgraph.control.subproblem import (
 from contactgraph.data import InvalidInputError
 from contactgraph.model import Nodes
 
-_READY = 18
-"""Active nodes that `reset` compiles for, where no limit is given."""
-_SPARE, _SPARE_WITH_LIMIT = 10.0, 2.0
-"""Cutoffs within which nodes take slots that would stay empty: they cost nothing there, but with a
-limit they keep others out."""
+_SPARE = 10.0
+"""Cutoffs within which nodes take slots that would stay empty."""
 _PATIENCE = 3
-"""Control steps for which nodes stay without a limit: a step that adds them again runs twice."""
-_NONE = np.zeros(0, int)
+"""Control steps for which nodes stay: a step that adds them again runs twice."""
 _log = logging.getLogger(__name__)
 
 
@@ -46,20 +42,16 @@ class ActiveSetMPC(MPC):
     It applies to models whose edges have a cutoff (`interaction_cutoff`); with others all nodes
     are active. If the plan of a control step comes near inactive nodes, these become active and
     the step is repeated from its start: no plan passes through a body that it does not know of.
-    Nodes leave four steps after they may, with a limit one: the present step may already have run
-    twice.
+    Nodes leave four steps after they may.
 
-    `reset` compiles for up to 18 active nodes. More of them recompile once for up to 54, 162, …
-    nodes, which is logged. With ``max_active_nodes`` a step never compiles: one that would need
-    more active nodes gives the previous plan, shifted, as CAPACITY_EXCEEDED.
+    `reset` compiles for up to ``ready`` active nodes. More of them recompile once for up to 54,
+    162, … nodes, which is logged; with ``ready`` at the capacity of nodes a step never compiles.
     """
 
-    def __init__(self, mpc: MPC, max_active_nodes: int | None = None) -> None:
-        """``max_active_nodes`` None: without a limit; raises `InvalidInputError` below 1."""
-        if max_active_nodes is not None and max_active_nodes < 1:
-            raise InvalidInputError(
-                f"max_active_nodes must be at least 1, found {max_active_nodes}"
-            )
+    def __init__(self, mpc: MPC, ready: int = 18) -> None:
+        """Raises `InvalidInputError` where ``ready`` is below 1."""
+        if ready < 1:
+            raise InvalidInputError(f"ready must be at least 1, found {ready}")
         vars(self).update(vars(mpc))
         # Sensor rates by edge are about the scene as a whole.
         by_edge = np.ndim(self.config.sensor.false_alarm) + np.ndim(self.config.sensor.miss) > 0
@@ -68,35 +60,29 @@ class ActiveSetMPC(MPC):
             model: Any = self.config.model
             self.config = replace(self.config, swept_dt=model.dt)
             self._compile()
-        self._max = max_active_nodes
+        self._ready = ready
         self._largest = 0
         self._compiled: set[tuple] = set()
 
     def reset(self, observation: Observation, nodes: Nodes, cost: Cost) -> MPCState:
-        """As `MPC.reset`; also compiles for more active nodes, up to the limit or 18.
-
-        Raises `InvalidInputError` where the scene needs more active nodes than the limit.
-        """
+        """As `MPC.reset`; also compiles for more active nodes."""
         scene = self.checked(nodes, cost)
         seen = self.measured(observation, scene)
         required, capacity = self._required(*scene), len(scene[0].mask)
-        most = max(len(required), self._max or _READY)
+        most = max(len(required), self._ready)
         sizes = {bucket_size(count, capacity) for count in range(len(required), most + 1)}
         for size in sorted(sizes, reverse=True):
             part = active_part(scene, padded(required, size), required, seen[:2])
             self._compile_part(part, seen)
-        before, after, missing = self._settled(self.first(part), seen)
-        self._check_limit(int(np.sum(before.node_ids >= 0)) + len(missing))
+        before, after = self._settled(self.first(part), seen)
         return replace(before, carry=replace(before.carry, plan=after.plan))
 
-    def planned(self, state: MPCState, seen: Measured) -> tuple[MPCState, PlanStatus | None]:
+    def planned(self, state: MPCState, seen: Measured) -> MPCState:
         """See `MPC.planned`."""
-        _, after, missing = self._settled(self._shrunk(state), seen)
-        return after, PlanStatus.CAPACITY_EXCEEDED if len(missing) else None
+        return self._settled(self._shrunk(state), seen)[1]
 
-    def _settled(self, state: MPCState, seen: Measured) -> tuple[MPCState, MPCState, np.ndarray]:
-        """A control step about all nodes that matter: the states before and after it, and the nodes
-        that the limit keeps out."""
+    def _settled(self, state: MPCState, seen: Measured) -> tuple[MPCState, MPCState]:
+        """A control step about all nodes that matter: the states before and after it."""
         motion = seen[:2]
         known = bool(np.isfinite(motion[0]).all() and np.isfinite(motion[1]).all())
         if not known:  # The active nodes are unknown; the step gets a bad observation.
@@ -105,21 +91,18 @@ class ActiveSetMPC(MPC):
         while True:
             after = self.advance(state, seen)
             if not known or self._cutoff is None:
-                return state, after, _NONE
+                return state, after
             after = replace(after, last_motion=motion)
             if not len(state.inactive):
-                return state, after, _NONE
+                return state, after
             bounds = self._bounds(after)
             missing = bounds.nodes_to_add(state.inactive, motion)
-            inside = state.node_ids[state.node_ids >= 0]
-            free = len(missing) if self._max is None else max(0, self._max - len(inside))
-            if not len(missing[:free]):
-                return state, after, missing
+            if not len(missing):
+                return state, after
             # Spare slots take the nodes that may matter next.
-            reach = _SPARE if self._max is None else _SPARE_WITH_LIMIT
-            size = bucket_size(len(inside) + len(missing[:free]), len(motion[0]))
-            free = min(size, self._max or size) - len(inside)
-            near = bounds.nodes_to_add(state.inactive, motion, cutoffs=reach)
+            inside = state.node_ids[state.node_ids >= 0]
+            free = bucket_size(len(inside) + len(missing), len(motion[0])) - len(inside)
+            near = bounds.nodes_to_add(state.inactive, motion, cutoffs=_SPARE)
             state = self._with_active(state, np.concatenate([inside, near[:free]]))
 
     def _bounds(self, state: MPCState) -> ActiveBounds:
@@ -136,20 +119,15 @@ class ActiveSetMPC(MPC):
         kept = self._bounds(state).nodes_to_keep(state.last_motion)
         if bucket_size(len(kept), capacity) >= size:
             return replace(state, roomy=0)
-        if self._max is None and state.roomy < _PATIENCE:
+        if state.roomy < _PATIENCE:
             return replace(state, roomy=state.roomy + 1)
         return self._with_active(state, kept)
 
     def in_scene(self, state: MPCState, scene: tuple[Nodes, QuadraticCost]) -> MPCState:
-        """With the nodes active that these nodes or this cost require.
-
-        Raises `InvalidInputError` where they are more than the limit.
-        """
+        """With the nodes active that these nodes or this cost require."""
         required = self._required(*scene)
         before = np.intersect1d(state.node_ids, np.flatnonzero(np.asarray(scene[0].mask)))
         inside = np.union1d(before, required)
-        if self._max is not None and len(inside) > self._max:
-            inside = required  # Other nodes that matter are added again.
         return self._with_active(state, inside, scene, required)
 
     def _with_active(
@@ -179,8 +157,8 @@ class ActiveSetMPC(MPC):
         state = self.first(part)
         after = self.advance(state, seen)
         jax.block_until_ready(after.plan)
-        if self._max is not None or self.deadline is not None:
-            self.answer(0.0, state, after, PlanStatus.CAPACITY_EXCEEDED)
+        if self.deadline is not None:
+            self.answer(0.0, state, after, PlanStatus.DEADLINE_MISSED)
 
     def _announce(self, count: int) -> None:
         if self._largest and count > self._largest:
@@ -192,16 +170,5 @@ class ActiveSetMPC(MPC):
         self._largest = max(self._largest, count)
 
     def _required(self, nodes: Nodes, cost: QuadraticCost) -> np.ndarray:
-        """[m] Nodes that are active wherever they are; raises where the limit is lower."""
-        if self._cutoff is None:
-            required = np.arange(len(nodes.mask))
-        else:
-            required = required_nodes(nodes, cost)
-        self._check_limit(len(required))
-        return required
-
-    def _check_limit(self, count: int) -> None:
-        if self._max is not None and count > self._max:
-            raise InvalidInputError(
-                f"max_active_nodes must be at least {count} for this scene, found {self._max}"
-            )
+        """[m] Nodes that are active wherever they are."""
+        return np.arange(len(nodes.mask)) if self._cutoff is None else required_nodes(nodes, cost)

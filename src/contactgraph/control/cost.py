@@ -156,7 +156,9 @@ class QuadraticCost(eqx.Module):
         """
         size = getattr(model, "control_size", self.control_size)
         if size != self.control_size:
-            raise InvalidInputError(f"cost.R must be [{size}, {size}] for the model, found {self}")
+            raise InvalidInputError(
+                f"the cost is of {self.control_size} controls, but the model of {size}"
+            )
         found, turn_length = self.goal.shape[-1], turn_length_of(model)
         known, rest = divmod(found, 2 * node_count)
         dimension = known

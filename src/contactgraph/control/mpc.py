@@ -145,29 +145,7 @@ class MPC:
             nodes, cost = known[0] if nodes is None else nodes, known[1] if cost is None else cost
             current = self.in_scene(state, self.checked(nodes, cost))
         seen = self.measured(observation, current.scene, contacts, applied, replan)
-        after, status = self.planned(current, seen)
-        return self.answer(begin, state, after, status)
-
-    def control(self, plan: Plan, observation: Observation) -> np.ndarray:
-        """[U] N: the plan's first control with its feedback on a later observation.
-
-        For a loop that is faster than the planner. Falls back on ``plan.controls[0]`` where the
-        observation is not finite.
-        """
-        ids = np.asarray(plan.node_ids)
-        count, dimension = np.shape(observation["position"])
-        capacity = max(count, int(ids.max()) + 1)
-        turn_length = turn_length_of(self.config.model)
-        position, velocity = padded_motion(
-            observation, capacity, dimension, self.dtype, turn_length
-        )
-        first: Any = jax.tree.map(lambda leaf: np.asarray(leaf)[0], plan.policy)
-        x = np.stack([position[ids], velocity[ids]], axis=1)
-        # A node without a gain may be anywhere, or not observed.
-        control = np.asarray(first(np.where(np.any(first.K != 0, axis=0), x, 0.0)))
-        control = control if np.all(np.isfinite(control)) else np.asarray(plan.controls)[0]
-        limits = self.config.planner.limits
-        return control if limits is None else np.clip(control, limits.lower, limits.upper)
+        return self.answer(begin, state, self.planned(current, seen))
 
     def checked(self, nodes: Nodes, cost: Cost) -> tuple[Nodes, QuadraticCost]:
         """In shapes that fit, on the device, without weak types: these would compile again."""
@@ -224,9 +202,9 @@ class MPC:
         ids = part.node_ids.astype(np.int32)
         return replace(part, carry=self._first(part.nodes, part.cost, position, velocity, ids))
 
-    def planned(self, state: MPCState, seen: Measured) -> tuple[MPCState, PlanStatus | None]:
-        """The state after a control step, and a status where its plan must not be used."""
-        return self.advance(state, seen), None
+    def planned(self, state: MPCState, seen: Measured) -> MPCState:
+        """The state after a control step."""
+        return self.advance(state, seen)
 
     def advance(self, state: MPCState, seen: Measured) -> MPCState:
         """The state after one call of the compiled step about the active nodes."""

@@ -58,7 +58,7 @@ class MultiStartILQR(ILQR):
 
     >>> from contactgraph.control import Routes
     >>> MultiStartILQR(horizon=20, proposals=(Routes(7),)).proposals
-    (Routes(count=7, speed=1.0),)
+    (Routes(count=7),)
     """
 
     proposals: tuple[Proposal, ...] = ()

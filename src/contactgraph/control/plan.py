@@ -25,7 +25,6 @@ class PlanStatus(IntEnum):
     PLAN_REUSED = 4
     DEADLINE_MISSED = 5
     BAD_OBSERVATION = 6
-    CAPACITY_EXCEEDED = 7
 
     @property
     def message(self) -> str:
@@ -46,9 +45,6 @@ _MESSAGES = {
     PlanStatus.PLAN_REUSED: "Not replanned in this step: the previous plan's feedback was used.",
     PlanStatus.DEADLINE_MISSED: "Planning missed the deadline; the previous plan is used.",
     PlanStatus.BAD_OBSERVATION: "The observation was not finite; the previous plan is used.",
-    PlanStatus.CAPACITY_EXCEEDED: (
-        "More nodes are active than the limit allows; the previous plan is used."
-    ),
 }
 
 

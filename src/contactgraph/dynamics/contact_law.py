@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
-from scipy.special import logit
 
 from contactgraph.bodies.geometry import Geometry, as_near
 from contactgraph.bodies.graph import Bodies, EncodedGraph
@@ -230,7 +229,10 @@ class ContactLaw(BodyTypes):
             weight = jnp.where(unilateral, weight * closing, weight)
         touch = jnp.sum(weight * unilateral, axis=0)
         soft = weight * ~rigid  # The residue of a spring would push bodies in touch.
-        starts = [_RIGID if each.rigid else logit(each.coupling) for each in graph.edge_types]
+        starts = [
+            _RIGID if each.rigid else -np.log(1.0 / each.coupling - 1.0)
+            for each in graph.edge_types
+        ]
         each = jax.nn.sigmoid(out[..., 0] + np.array(starts)[:, None])
         each = jnp.where(rigid, 1.0 - _SOFTEST * (not self.identified) * (1.0 - each), each)
         coupling = jnp.sum(weight * each, axis=0)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from contactgraph.data import Scene
 from contactgraph.envs.gripper_task import GripperTask, check_count
@@ -39,7 +39,7 @@ class SpringWorld:
         rate[:count, count : 2 * count] = np.eye(count)
         rate[count : 2 * count, :count] = SPRING_STIFFNESS * (joined - np.diag(joined.sum(axis=1)))
         rate[count : 2 * count, 2 * count :] = np.eye(count)
-        self._moved = expm(dt * rate)
+        self._moved = scipy.linalg.expm(dt * rate)
 
     def step(self, force: np.ndarray) -> None:
         """Advances by ``dt`` under a constant ``force`` ``[N, 2]`` N."""

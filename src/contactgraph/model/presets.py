@@ -15,7 +15,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import PRNGKeyArray
 
 from contactgraph.bodies.graph import HOLD, MOST_EDGE_TYPES, TOUCH, EdgeType, first_where
@@ -292,7 +291,8 @@ def _with_measured(law: ContactLaw, config: ModelConfig, types: Sequence[str]) -
     for pair, each in config.impacts.items():
         if not set(pair) <= set(names):
             continue
-        bounce[pair] = scipy.special.logit(np.clip(each.bounce, _LEAST_SHARE, _MOST_SHARE)) + 3.0
+        share = np.clip(each.bounce, _LEAST_SHARE, _MOST_SHARE)
+        bounce[pair] = np.log(share / (1.0 - share)) + 3.0
         if each.mass_ratio:
             ratio[pair] = np.log(each.mass_ratio)
         if each.friction is not None:

@@ -17,6 +17,7 @@ from contactgraph.play.wishes import StageChoice
 from contactgraph.policies import (
     MPCPolicy,
     PlannerFactory,
+    Planning,
     SensorFaults,
     switches_of,
     task_policy,
@@ -41,10 +42,6 @@ class StageParts:
 
     model: ContactDynamics
     task: Task
-    horizon: int
-    """Of plans, steps."""
-    starts: int
-    """Of searches; 0: none."""
     motion_noise: MotionNoise | None
     planner: PlannerFactory | None = None
     """None: iLQR."""
@@ -105,11 +102,9 @@ class Stage:
         made = task_policy(
             parts.model,
             task,
+            Planning(planner=parts.planner),
             seed=seed,
-            horizon=parts.horizon,
-            starts=parts.starts,
             motion_noise=parts.motion_noise,
-            planner=parts.planner,
             node_capacity=self._room,
         )
         if grown and before is not None:

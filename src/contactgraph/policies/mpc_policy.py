@@ -17,8 +17,8 @@ from contactgraph.model import ContactBelief, scene_nodes
 from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
 from contactgraph.policies.task_cost import CandidateTrials, SceneCost, avoid_others
 
-_EXACT = SensorFaults()
-_NOISELESS = ObservationNoise()
+EXACT = SensorFaults()
+NOISELESS = ObservationNoise()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,9 @@ class MPCPolicy:
         mpc: MPC,
         cost: SceneCost,
         node_capacity: int = 0,
-        faults: SensorFault = _EXACT,
+        faults: SensorFault = EXACT,
         measured: bool = True,
-        noise: ObservationNoise = _NOISELESS,
+        noise: ObservationNoise = NOISELESS,
         candidates: tuple[int, ...] = (),
         clearance: float | None = None,
     ) -> None:
@@ -90,7 +90,7 @@ class MPCPolicy:
         a step uses. ``candidates``: see `ChainCost`. ``clearance`` [m] of the cost's nodes and the
         candidates from all others: see `avoid_others`; None: they may touch.
         """
-        self._mpc = mpc
+        self.mpc = mpc
         self._cost = cost
         self._candidates, self._clearance = candidates, clearance
         self._capacity = node_capacity
@@ -105,7 +105,7 @@ class MPCPolicy:
         """The same with the controller of another policy of equal model and task, which need not
         be compiled again."""
         same = copy.copy(self)
-        same._mpc = other._mpc
+        same.mpc = other.mpc
         return same
 
     def reset(self, scene: Scene, seed: int) -> None:
@@ -143,12 +143,12 @@ class MPCPolicy:
         observation = {**observation, **moved}
         if self._state is None:
             nodes = scene_nodes(self._scene, self._capacity)
-            self._state = self._mpc.reset(observation, nodes, self._cost_of(self._order))
+            self._state = self.mpc.reset(observation, nodes, self._cost_of(self._order))
         contacts = self._contacts(observation)
         self._holds = "holding" in observation
         """Whether the scene's contacts are the pairs that hold each other."""
         begin = time.perf_counter()
-        plan, self._state = self._mpc.step(
+        plan, self._state = self.mpc.step(
             observation,
             contacts,
             self._state,

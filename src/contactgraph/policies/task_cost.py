@@ -68,10 +68,6 @@ class TaskCost:
     angle: float = 0.0
     """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "order", self.order or self.terms.chain)
-        object.__setattr__(self, "turns", self.turns and self.terms.goal_angle is not None)
-
     def in_scene(self, scene: Scene) -> "TaskCost":
         """The cost with the scene's goal."""
         if scene.goal is None:
@@ -85,15 +81,14 @@ class TaskCost:
 
     def seeing(self, observation: Observation) -> "TaskCost":
         """The cost where the nodes and the goal are as observed."""
-        last, angle, goal = self.order[-1], self.angle, self.goal
+        last, angle, goal, wanted = self.order[-1], self.angle, self.goal, self.terms.goal_angle
         if "goal" in observation and not np.array_equal(observation["goal"], np.asarray(goal)):
             goal = np.asarray(observation["goal"])
         away = np.linalg.norm(observation["position"][last] - goal)
         placed = bool(away < self.terms.placed_radius)
-        if self.turns and np.isfinite(observation["orientation"][last, 0]):
-            assert self.terms.goal_angle is not None
-            missing = self.terms.goal_angle - observation["orientation"][last, 0]
-            angle = float(self.terms.goal_angle - 2.0 * np.pi * np.round(missing / (2.0 * np.pi)))
+        if self.turns and wanted is not None and np.isfinite(observation["orientation"][last, 0]):
+            missing = wanted - observation["orientation"][last, 0]
+            angle = float(wanted - 2.0 * np.pi * np.round(missing / (2.0 * np.pi)))
         if placed == self.placed and angle == self.angle and goal is self.goal:
             return self
         return replace(self, placed=placed, angle=angle, goal=goal)
@@ -113,7 +108,7 @@ class TaskCost:
             self.terms.command_weight,
             self.terms.terminal_weight,
         )
-        if not self.turns:
+        if not self.turns or self.terms.goal_angle is None:
             return cost
         return cost.with_angle(self.order[-1], self.angle, self.terms.angle_weight, node_count)
 

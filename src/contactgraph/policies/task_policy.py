@@ -1,7 +1,7 @@
 """MPC as the policy of a task: its planner, cost, sensor and limits."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -20,26 +20,25 @@ from contactgraph.control import (
     Proposal,
     Routes,
     ShortPlans,
+    searches,
 )
 from contactgraph.data import InvalidInputError, Scene
 from contactgraph.envs.contract import Task
-from contactgraph.model import (
-    MotionNoise,
-    StepModel,
-    default_sensor,
-    turn_length_of,
-)
+from contactgraph.model import MotionNoise, StepModel, default_sensor, turn_length_of
 from contactgraph.model.scene import check_fit
-from contactgraph.policies.mpc_policy import MPCPolicy
-from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault, SensorFaults
-from contactgraph.policies.task_cost import SceneCost, TaskCost, avoid_others
+from contactgraph.policies.mpc_policy import EXACT, NOISELESS, MPCPolicy
+from contactgraph.policies.sensor_faults import ObservationNoise, SensorFault
+from contactgraph.policies.task_cost import SceneCost, TaskCost
 
 PlannerFactory = Callable[..., Planner]
 """Called with the keywords ``horizon`` [steps] and ``limits``, a `ControlLimits`."""
 
-_EXACT = SensorFaults()
-_NOISELESS = ObservationNoise()
 _SERVOS = {"position", "displacement", "velocity"}
+_HORIZON_WITHOUT_CONTACTS = 2
+"""Factor of the default horizon with a learned cost that does not demand the contacts that its
+demonstrations made: a plan that ends before their benefit would hover before the object."""
+_ROUTES = 7
+"""With a clearance: with the running plan they fill a vector of eight."""
 _LEAP_ROLLOUTS = 3
 """More rollouts for a plan with switches: a schedule that leaps pays after seven or eight only."""
 
@@ -49,62 +48,116 @@ def switches_of(scene: Scene) -> tuple[int, ...]:
     return tuple(each for each, kind in enumerate(scene.control_kind or ()) if kind == "switch")
 
 
-def planning(task: Task) -> tuple[int, int, str]:
-    """Horizon [steps] and starts of plans in a task that has begun an episode, and why.
+@dataclass(frozen=True)
+class Planning:
+    """How a task's plans are made. What is None is `chosen`."""
 
-    What its attributes ``horizon`` and ``starts`` do not give follows from what is controlled: a
-    servo, or a displacement, pushes and cannot pull, so a plan is long and begins with a search for
-    the side to push from. Forces act on what is touched and held, where iLQR needs neither.
-    """
-    horizon, starts = (getattr(task, name, None) for name in ("horizon", "starts"))
-    kinds = sorted(_SERVOS & set(task.scene.control_kind or ()))
-    reason = f"the control is a {kinds[0]}" if kinds else "the control is a force"
-    if horizon is not None and starts is not None:
-        reason = "the task says so"
-    default_horizon, default_starts = (30, 64) if kinds else (20, 0)
-    return (
-        default_horizon if horizon is None else horizon,
-        default_starts if starts is None else starts,
-        reason,
-    )
+    horizon: int | None = None
+    """Steps."""
+    iterations: int = 5
+    """Rollouts of iLQR, at most."""
+    starts: int | None = None
+    """Of `Approaches`; 0: none."""
+    routes: int | None = None
+    """Of `Routes`; 0: none."""
+    segment: int = 0
+    """Of `ShortPlans`; 0: none."""
+    clearance: float | None = None
+    """Gap to be kept from bodies that the task does not name, m; 0 forbids touches alone."""
+    planner: PlannerFactory | None = None
+    """Makes another planner in the place of iLQR and its starts."""
+    reason: str = "as asked for"
+    """Why the horizon is what it is."""
+
+    def chosen(self, task: Task, model: StepModel, cost: SceneCost | None = None) -> "Planning":
+        """What is missing, for a task that has begun an episode; ``cost`` None is the task's own.
+
+        What the task's attributes ``horizon``, ``starts`` and ``clearance`` do not give follows
+        from what is controlled: a servo, or a displacement, pushes and cannot pull, so a plan is
+        long and begins with a search for the side to push from. Forces act on what is touched and
+        held, where iLQR needs neither. Where a gap is to be kept, routes replace the search.
+        """
+        horizon, starts, clearance = (
+            getattr(task, name, None) for name in ("horizon", "starts", "clearance")
+        )
+        kinds = sorted(_SERVOS & set(task.scene.control_kind or ()))
+        reason = f"the control is a {kinds[0] if kinds else 'force'}"
+        if horizon is not None and starts is not None:
+            reason = "the task says so"
+        horizon = horizon or (30 if kinds else 20)
+        if not getattr(cost, "contacts", True):
+            horizon *= _HORIZON_WITHOUT_CONTACTS
+        clearance = clearance if self.clearance is None else self.clearance
+        routes = 0 if clearance is None or self.planner else _ROUTES
+        routes = routes if self.routes is None else self.routes
+        starts = (64 if kinds else 0) if starts is None else starts
+        if routes or self.segment or self.planner or not searches(model):
+            starts = 0
+        return replace(
+            self,
+            horizon=horizon if self.horizon is None else self.horizon,
+            starts=starts if self.starts is None else self.starts,
+            routes=routes,
+            clearance=clearance,
+            reason=reason if self.horizon is None else self.reason,
+        )
+
+    def made(self, task: Task, model: StepModel, limits: ControlLimits) -> Planner:
+        """The planner, once all is `chosen`; a task's switches add their schedules."""
+        assert self.horizon is not None
+        if self.planner is not None:
+            return self.planner(horizon=self.horizon, limits=limits)
+        proposals: list[Proposal] = []
+        if self.starts:
+            proposals.append(Approaches(self.starts))
+        if self.routes:
+            proposals.append(Routes(self.routes))
+        if self.segment:
+            proposals.append(ShortPlans(self.segment))
+        switches = switches_of(task.scene)
+        for each in switches:
+            constant = ConstantSchedule(each, False), ConstantSchedule(each, True)
+            proposals += [*constant, ChangingSchedules(each)]
+        if not proposals:
+            return ILQR(self.horizon, self.iterations, limits)
+        size = len(limits.lower)
+        commands = getattr(getattr(model, "inference", None), "commands", 0)
+        return MultiStartILQR(
+            self.horizon,
+            self.iterations + _LEAP_ROLLOUTS * bool(switches),
+            limits,
+            proposals=tuple(proposals),
+            held=tuple(sorted({*switches, *range(size - commands, size)})),
+            switching_cost=task.cost_terms().switching_cost,
+        )
 
 
 def task_policy(
     model: StepModel,
     task: Task,
+    plans: Planning | None = None,
     *,
     seed: int = 0,
     cost: SceneCost | None = None,
-    horizon: int = 20,
-    iterations: int = 5,
-    starts: int = 0,
-    routes: int = 0,
-    segment: int = 0,
-    clearance: float | None = None,
     replan_every: int = 1,
     deadline: float | None = None,
-    faults: SensorFault = _EXACT,
+    faults: SensorFault = EXACT,
     measured: bool = True,
-    noise: ObservationNoise = _NOISELESS,
+    noise: ObservationNoise = NOISELESS,
     motion_noise: MotionNoise | None = None,
     node_capacity: int = 0,
-    planner: PlannerFactory | None = None,
 ) -> MPCPolicy:
     """MPC with this model, for a task: a policy for `contactgraph.evaluate.control_task`.
 
-    The task is reset to the scene of ``seed``, and the policy serves all its scenes.
-    ``cost`` None is the task's own; the limits of each component of the control are those of the
-    task's action space. ``horizon``, ``iterations`` and ``replan_every`` are `ILQR`'s and `MPC`'s,
-    ``starts``, ``routes`` and ``segment`` those of `Approaches`, `Routes` and `ShortPlans` (0:
-    none). ``planner`` makes another planner in place of all of these, by the keywords ``horizon``
-    and ``limits``. ``clearance`` [m] is the gap to be kept from bodies that the task does not name,
-    0 forbids touches alone, None neither. ``deadline`` is in seconds; ``node_capacity`` is
-    `MPCPolicy`'s.
+    The task is reset to the scene of ``seed``, and the policy serves all its scenes. ``plans`` None
+    are all `chosen`; ``cost`` None is the task's own; the limits of each component of the control
+    are those of the task's action space. ``replan_every`` and ``motion_noise`` are `MPC`'s;
+    ``deadline`` is in seconds; ``node_capacity`` is `MPCPolicy`'s.
 
     ``faults`` corrupts the contacts that the controller observes, and ``measured=False`` removes
     them; the recorded episodes keep the truth. The correction assumes the error rates of
-    ``faults``, without faults the model's `default_sensor`. ``motion_noise`` is `MPC`'s; ``noise``
-    is added to the observed motion.
+    ``faults``, without faults the model's `default_sensor`. ``noise`` is added to the observed
+    motion.
 
     Raises `InvalidInputError` where model and task do not fit, the task has no goal or takes no
     control, or a number is out of range.
@@ -115,13 +168,10 @@ def task_policy(
     check_fit(model, task.scene, control_size, "the task")
     terms = task.cost_terms()
     sensor = default_sensor(model) if faults.exact else faults.sensor
-    if planner is None:
-        made = _planner(model, task, horizon, iterations, limits, starts, routes, segment)
-    else:
-        made = planner(horizon=horizon, limits=limits)
+    plans = (plans or Planning()).chosen(task, model, cost)
     mpc = MPC(
         model,
-        made,
+        plans.made(task, model, limits),
         replace(sensor, reports_touch="holding" not in observation),
         replan_every,
         deadline,
@@ -131,54 +181,8 @@ def task_policy(
     if cost is None:
         turns = turn_length_of(model) is not None
         cost = TaskCost(terms, control_size, task.cost_terms, turns)
-    size = cost.in_scene(task.scene).quadratic(task.scene.node_count).control_size
-    if size != control_size:  # before compilation
-        raise InvalidInputError(
-            f"the cost is for control size U {size}, but the task has {control_size}; they must "
-            "agree"
-        )
-    if clearance is not None:
-        avoid_others(task.scene, terms.chain, clearance)
     return MPCPolicy(
-        ActiveSetMPC(mpc), cost, node_capacity, faults, measured, noise, candidates, clearance
-    )
-
-
-def _planner(
-    model: StepModel,
-    task: Task,
-    horizon: int,
-    iterations: int,
-    limits: ControlLimits,
-    starts: int,
-    routes: int,
-    segment: int,
-) -> Planner:
-    """Of the options of `task_policy`; a task's switches add their schedules."""
-    proposals: list[Proposal] = []
-    if starts:
-        proposals.append(Approaches(starts))
-    if routes:
-        speed = getattr(getattr(model, "features", None), "speed", 1.0)
-        proposals.append(Routes(routes, speed))
-    if segment:
-        stride = next(each for each in (5, 4, 3, 2, 1) if horizon % each == 0 and each <= segment)
-        proposals.append(ShortPlans(segment, stride))
-    switches = switches_of(task.scene)
-    for each in switches:
-        constant = ConstantSchedule(each, False), ConstantSchedule(each, True)
-        proposals += [*constant, ChangingSchedules(each)]
-    size = len(limits.lower)
-    commands = getattr(getattr(model, "inference", None), "commands", 0)
-    if not proposals:
-        return ILQR(horizon, iterations, limits)
-    return MultiStartILQR(
-        horizon,
-        iterations + _LEAP_ROLLOUTS * bool(switches),
-        limits,
-        proposals=tuple(proposals),
-        held=tuple(sorted({*switches, *range(size - commands, size)})),
-        switching_cost=task.cost_terms().switching_cost,
+        ActiveSetMPC(mpc), cost, node_capacity, faults, measured, noise, candidates, plans.clearance
     )
 
 

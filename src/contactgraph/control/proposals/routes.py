@@ -62,18 +62,14 @@ class Routes(eqx.Module):
 
     iLQR alone stays on the side of a body on which its guess passes, or stops before it. A route
     leads each driven body to where the cost of positions is least for it and all that it holds,
-    moved as one. It turns aside at first.
+    moved as one, at the model's unit of speeds. It turns aside at first.
     """
 
     count: int = eqx.field(static=True, default=7)
-    speed: float = eqx.field(static=True, default=1.0)
-    """m/s, along a route."""
 
     def __check_init__(self) -> None:
-        if self.count < 1 or not self.speed > 0.0:
-            raise InvalidInputError(
-                f"routes must be 1 or more and speed positive, found {self.count} and {self.speed}"
-            )
+        if self.count < 1:
+            raise InvalidInputError(f"routes must be 1 or more, found {self.count}")
 
     def __call__(self, problem: PlanningProblem) -> Starts:
         """A start for each route, with gains that follow its velocities as if the driven bodies
@@ -85,17 +81,20 @@ class Routes(eqx.Module):
         if not isinstance(model, ContactDynamics):
             raise InvalidInputError(f"routes need a ContactDynamics, found {type(model).__name__}")
         dimension, horizon = model.dimension, problem.planner.horizon
-        motion = FreeMotion.of(model, state, nodes, self.speed)
+        speed = getattr(model.features, "speed", 1.0)
+        motion = FreeMotion.of(model, state, nodes, speed)
         inverse = jnp.where((nodes.actuated & nodes.mask)[:, None, None], motion.inverse, 0.0)
         aim = _place_of_least_cost(state, problem.cost)[:, :dimension]
-        wanted = self._velocities(aim, horizon, model.dt) - motion.offset[:, :dimension, None]
+        wanted = (
+            self._velocities(aim, horizon, model.dt, speed) - motion.offset[:, :dimension, None]
+        )
         K = -jnp.einsum("nud,ndx->unxd", inverse, motion.A[:, :dimension])
         K = jnp.pad(K, [(0, 0)] * 3 + [(0, state.position.shape[1] - dimension)])
         K = jnp.broadcast_to(K[None, ..., None], (horizon, *K.shape, self.count))
         return Starts(AffinePolicy(K, jnp.einsum("nud,tnds->tus", inverse, wanted)))
 
     def _velocities(
-        self, aim: Float[Array, "N D"], horizon: int, dt: float
+        self, aim: Float[Array, "N D"], horizon: int, dt: float, speed: float
     ) -> Float[Array, "H N D S"]:
         """m/s; of bodies that are led to ``aim`` [m], from where they are."""
         angle = np.linspace(-_WIDEST, _WIDEST, self.count) if self.count > 1 else np.zeros(1)
@@ -107,7 +106,7 @@ class Routes(eqx.Module):
             turned = away.at[:, 0].set(cosine * x - sine * y).at[:, 1].set(sine * x + cosine * y)
             way = jnp.where(turns, turned, away)
             length = jnp.sqrt(jnp.sum(way**2, axis=1, keepdims=True) + _TINY**2)
-            velocity = way * jnp.minimum(self.speed / length, _GAIN / dt)
+            velocity = way * jnp.minimum(speed / length, _GAIN / dt)
             return at + dt * velocity, velocity
 
         turns = jnp.arange(horizon) < _ASIDE * horizon

@@ -23,8 +23,8 @@ class ShortPlans(eqx.Module):
 
     segment: int = eqx.field(static=True, default=20)
     """Steps of a short plan."""
-    stride: int = eqx.field(static=True, default=5)
-    """Steps for which each is followed; the horizon is a multiple of it."""
+    stride: int | None = eqx.field(static=True, default=None)
+    """Steps for which each is followed, a divisor of the horizon; None: the largest up to 5."""
 
     def __call__(self, problem: PlanningProblem) -> Starts:
         """One start; its ``iterations`` leave out the short plans'.
@@ -32,11 +32,14 @@ class ShortPlans(eqx.Module):
         Raises `InvalidInputError` where segment, stride and horizon do not fit.
         """
         planner = problem.planner
-        horizon = planner.horizon
-        if not 1 <= self.stride <= self.segment <= horizon or horizon % self.stride:
+        horizon, stride = planner.horizon, self.stride
+        if stride is None:
+            most = min(5, self.segment)
+            stride = next(each for each in range(most, 0, -1) if horizon % each == 0)
+        if not 1 <= stride <= self.segment <= horizon or horizon % stride:
             raise InvalidInputError(
                 "stride must be 1 to segment, segment at most the horizon, and the horizon a "
-                f"multiple of the stride, found {self.stride}, {self.segment} and {horizon}"
+                f"multiple of the stride, found {stride}, {self.segment} and {horizon}"
             )
         short = dataclasses.replace(planner, horizon=self.segment, proposals=())
 
@@ -45,15 +48,13 @@ class ShortPlans(eqx.Module):
         ) -> tuple[tuple[ModelState, AffinePolicy], AffinePolicy]:
             now, running = carry
             plan = ILQR.solve(short, problem.model, now, problem.nodes, problem.cost, running)
-            made = jax.tree.map(lambda leaf: leaf[: self.stride], plan.policy)
-            at = plan.states[self.stride].astype(now.position.dtype)
-            belief = jax.tree.map(lambda leaf: leaf[self.stride - 1], plan.beliefs)
-            for _step in range(self.stride):
+            made = jax.tree.map(lambda leaf: leaf[:stride], plan.policy)
+            at = plan.states[stride].astype(now.position.dtype)
+            belief = jax.tree.map(lambda leaf: leaf[stride - 1], plan.beliefs)
+            for _step in range(stride):
                 plan = shift_plan(plan)
             return (ModelState(at[:, 0], at[:, 1], belief), plan.policy), made
 
         running = jax.tree.map(lambda leaf: leaf[: self.segment], problem.guess)
-        _, made = jax.lax.scan(
-            follow, (problem.state, running), None, length=horizon // self.stride
-        )
+        _, made = jax.lax.scan(follow, (problem.state, running), None, length=horizon // stride)
         return Starts(jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:], 1), made))
