@@ -12,7 +12,7 @@ import pytest
 
 from contactgraph.cli import main as cli
 from contactgraph.data import InvalidInputError, read_trajectories
-from contactgraph.envs import ExplorationPolicy, PickupTask, RestPolicy
+from contactgraph.envs import ExplorationPolicy, PickupTask, RestPolicy, Task
 from contactgraph.envs.registry import (
     SHIPPED,
     TaskSpec,
@@ -192,7 +192,7 @@ def own_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     sys.modules.pop("own_task", None)
 
 
-def begun(name: str) -> object:
+def begun(name: str) -> Task:
     task = make(name)
     task.reset(seed=0)
     return task

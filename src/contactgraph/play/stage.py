@@ -108,7 +108,7 @@ class Stage:
             node_capacity=self._room,
         )
         if grown and before is not None:
-            made = made.compiled_as(before.policy.controller)
+            made.mpc = before.policy.controller.mpc  # which need not be compiled again
         self.policy: HandPolicy = HandPolicy(made)
         self._observation = observation
 

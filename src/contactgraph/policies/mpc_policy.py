@@ -1,6 +1,5 @@
 """The model predictive controller as a policy in a task, and the record of an episode."""
 
-import copy
 import time
 from dataclasses import dataclass, replace
 from functools import partial
@@ -100,13 +99,6 @@ class MPCPolicy:
         self._scene: Scene | None = None
         self._state: Any = None
         self._steps: list[_Step] = []
-
-    def compiled_as(self, other: "MPCPolicy") -> "MPCPolicy":
-        """The same with the controller of another policy of equal model and task, which need not
-        be compiled again."""
-        same = copy.copy(self)
-        same.mpc = other.mpc
-        return same
 
     def reset(self, scene: Scene, seed: int) -> None:
         """Prepares for an episode in ``scene``; ``seed`` is that of sensor faults and noise.
