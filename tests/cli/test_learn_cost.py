@@ -170,7 +170,7 @@ def test_the_horizon_and_the_largest_force_are_the_task_s_unless_given(
 @pytest.mark.parametrize(
     ("features", "task", "options", "starts"),
     [
-        (InvariantFeatures(), "pusht", (), 64),
+        (InvariantFeatures(), "pusht", (), 32),
         (InvariantFeatures(), "pusht", ("--starts", "16"), 16),
         (InvariantFeatures(), "pickup", (), 0),
         (AbsoluteFeatures(), "pusht", (), 0),

@@ -192,8 +192,8 @@ def own_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     sys.modules.pop("own_task", None)
 
 
-def begun(name: str) -> Task:
-    task = make(name)
+def begun(name: str, **options: int) -> Task:
+    task = make(name, **options)
     task.reset(seed=0)
     return task
 
@@ -202,18 +202,18 @@ def test_a_class_has_the_defaults_of_a_shipped_task(own_task: str) -> None:
     """How to plan follows from what is controlled."""
     servo = task_spec(own_task)
     assert servo.explorer is RestPolicy and servo.exploration == 0.25
-    shipped = task_spec("fetch-push")
 
     def plans(name: str, **options: Any) -> tuple:
         found = Planning(**options).chosen(begun(name), MODEL)
         assert found.chosen(begun(name), MODEL) == found
         return found.horizon, found.starts, found.routes, found.clearance, found.reason
 
-    servo_plans = shipped.horizon, shipped.starts, 0, None, "the control is a displacement"
-    assert plans(own_task) == servo_plans
+    assert plans(own_task) == (30, 32, 0, None, "the control is a displacement")
     # Routes, round what is not to be touched, replace the search.
     assert plans("own_task:Long") == (45, 0, 7, 0.02, "the control is a displacement")
     assert plans("pickup") == (20, 0, 0, None, "the control is a force")
+    loaded = Planning().chosen(begun("multi-pickup", objects=5), MODEL)
+    assert (loaded.horizon, loaded.reason) == (35, "a force moves 6 bodies")
     assert plans("billiards") == (60, 64, 0, None, "the task says so")
     assert plans("pickup", horizon=9, starts=8) == (9, 8, 0, None, "as asked for")
 
@@ -221,7 +221,7 @@ def test_a_class_has_the_defaults_of_a_shipped_task(own_task: str) -> None:
 def test_a_class_plans_in_python_as_by_the_command(own_task: str) -> None:
     planner = task_policy(MODEL, begun(own_task)).mpc.config.planner
     (approaches,) = planner.proposals
-    assert (planner.horizon, approaches.starts) == (30, 64)
+    assert (planner.horizon, approaches.starts) == (30, 32)
 
 
 def test_a_hidden_switch_changes_how_to_plan() -> None:
@@ -273,7 +273,7 @@ def test_control_and_play_take_an_option(own_task: str, interrupted: Callable) -
     assert cli.run(["control", "pickup", "own_task:Long"]) == 130
     assert calls[0].arguments[1].gain == 2
     first, second = (call.arguments[2] for call in calls)
-    assert (first.clearance, first.starts) == (None, 64)
+    assert (first.clearance, first.starts) == (None, 32)
     assert (second.clearance, second.starts, second.routes) == (0.02, 0, 7)
     begun = interrupted("contactgraph.play.Session")
     assert cli.run(["play", "pickup", own_task, "--option", "gain=3"]) == 130

@@ -15,6 +15,7 @@ from contactgraph.control import (
     AffinePolicy,
     Approaches,
     ControlLimits,
+    Leap,
     MultiStartILQR,
     PlanningProblem,
     avoid,
@@ -69,6 +70,22 @@ def solve(planner, state, guess=IDLE):
 
 def box_end(plan):
     return np.asarray(plan.states)[-1, 1, 0]
+
+
+def test_a_leap_crosses_what_a_descent_hovers_before() -> None:
+    """A touch pushes the first body away from the next, to which both are then taken."""
+    begin = state_of([[0.26, 0.0], [0.0, 0.0], [2.0, 0.0]], np.zeros((3, 2)))
+    weights, nodes = ([3.0, 3.0, 0.2, 0.2], [50.0, 50.0, 1.0, 1.0], 0.01), nodes_of(3, 3)
+    cost = chain_cost((0, 1, 2), *weights, [2.0, 1.0], 3)
+    limits = ControlLimits(jnp.full(2, -10.0), jnp.full(2, 10.0))
+    descent = ILQR(30, 5, limits)
+    leap = MultiStartILQR(30, 5, limits, proposals=(Leap(),))
+    hovers, leaps = (
+        jax.jit(partial(each.solve, StickyBodies(), nodes=nodes, cost=cost))(begin)
+        for each in (descent, leap)
+    )
+    assert hovers.states[-1, 0, 0, 0] > REACH and hovers.states[-1, 1, 0, 0] == 0.0
+    assert leaps.states[-1, 1, 0, 0] > 1.0 and leaps.cost < 0.97 * hovers.cost
 
 
 def test_it_goes_round_a_body_that_stands_between_the_hand_and_its_goal():

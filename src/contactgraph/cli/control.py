@@ -84,13 +84,13 @@ class Control(BeliefOptions, SceneOptions):
     """Cost file by learn-cost, to plan with in place of the task's own cost."""
     horizon: Annotated[
         int | None,
-        arg(metavar="INT", help_behavior_hint="(20; pushing 30; franka 50; twice with --cost)"),
+        arg(metavar="INT", help_behavior_hint="(20 up; pushing 30; franka 50; twice with --cost)"),
     ] = None
     """Planning horizon, steps."""
     iterations: int = 5
     """Rollouts of iLQR a plan, at most."""
     starts: Annotated[
-        int | None, arg(metavar="INT", help_behavior_hint="(64 for pushing, else 0)")
+        int | None, arg(metavar="INT", help_behavior_hint="(32 for pushing, else 0)")
     ] = None
     """Ways round a body to push it that each plan compares, twice; 0: none."""
     routes: Annotated[

@@ -33,6 +33,7 @@ from contactgraph.control.lqr import tracking_problem as tracking_problem
 from contactgraph.control.lqr_adjoint import LQRTrajectory as LQRTrajectory
 from contactgraph.control.lqr_adjoint import lqr_trajectory as lqr_trajectory
 from contactgraph.control.mpc import MPC as MPC
+from contactgraph.control.multi_start import Leap as Leap
 from contactgraph.control.multi_start import MultiStartILQR as MultiStartILQR
 from contactgraph.control.multi_start import Proposal as Proposal
 from contactgraph.control.multi_start import Starts as Starts

@@ -45,6 +45,18 @@ Proposal = Callable[[PlanningProblem], Starts]
 """Is compiled; a pytree such as an `equinox.Module`, or a function."""
 
 
+class Leap(eqx.Module):
+    """The guess, whose first improvement is accepted whatever it costs (`Starts.leap`).
+
+    A grasp may cost first and pay later: the body is pushed away from the next one before both are
+    taken there. A search that only descends may hover before it, the sooner the longer the plan.
+    """
+
+    def __call__(self, problem: PlanningProblem) -> Starts:
+        """One start."""
+        return Starts(jax.tree.map(lambda leaf: leaf[..., None], problem.guess), leap=True)
+
+
 class MultiStartILQR(ILQR):
     """`ILQR` from the guess and from what ``proposals`` propose; the plan of the lowest cost.
 

@@ -108,7 +108,6 @@ class FetchTask(AdaptedTask):
     name: str
     """Of the task, and of its map."""
     environment_name: str
-    horizon, starts = 30, 64
     max_force: float | None = MAX_DISPLACEMENT
 
     def __init__(self) -> None:

@@ -15,6 +15,7 @@ from contactgraph.control import (
     ChangingSchedules,
     ConstantSchedule,
     ControlLimits,
+    Leap,
     MultiStartILQR,
     Planner,
     Proposal,
@@ -34,6 +35,8 @@ PlannerFactory = Callable[..., Planner]
 """Called with the keywords ``horizon`` [steps] and ``limits``, a `ControlLimits`."""
 
 _SERVOS = {"position", "displacement", "velocity"}
+_SEVERAL = 4
+"""Bodies in a row from which on the horizon is longer, and plans leap."""
 _HORIZON_WITHOUT_CONTACTS = 2
 """Factor of the default horizon with a learned cost that does not demand the contacts that its
 demonstrations made: a plan that ends before their benefit would hover before the object."""
@@ -75,22 +78,25 @@ class Planning:
         What the task's attributes ``horizon``, ``starts`` and ``clearance`` do not give follows
         from what is controlled: a servo, or a displacement, pushes and cannot pull, so a plan is
         long and begins with a search for the side to push from. Forces act on what is touched and
-        held, where iLQR needs neither. Where a gap is to be kept, routes replace the search.
+        held, where iLQR needs neither; but the time that a force takes over a distance grows with
+        the root of the mass, and so does the horizon where several bodies are carried in the end.
+        Where a gap is to be kept, routes replace the search.
         """
-        horizon, starts, clearance = (
-            getattr(task, name, None) for name in ("horizon", "starts", "clearance")
-        )
+        names = "horizon", "starts", "clearance"
+        horizon, starts, clearance = (getattr(task, name, None) for name in names)
         kinds = sorted(_SERVOS & set(task.scene.control_kind or ()))
         reason = f"the control is a {kinds[0] if kinds else 'force'}"
-        if horizon is not None and starts is not None:
-            reason = "the task says so"
-        horizon = horizon or (30 if kinds else 20)
+        default, bodies = 30 if kinds else 20, len(task.cost_terms().chain)
+        if bodies >= _SEVERAL and not kinds:
+            default, reason = round(20 * np.sqrt(bodies / 2)), f"a force moves {bodies} bodies"
+        reason = reason if None in (horizon, starts) else "the task says so"
+        horizon = horizon or default
         if not getattr(cost, "contacts", True):
             horizon *= _HORIZON_WITHOUT_CONTACTS
         clearance = clearance if self.clearance is None else self.clearance
         routes = 0 if clearance is None or self.planner else _ROUTES
         routes = routes if self.routes is None else self.routes
-        starts = (64 if kinds else 0) if starts is None else starts
+        starts = (32 if kinds else 0) if starts is None else starts
         if routes or self.segment or self.planner or not searches(model):
             starts = 0
         return replace(
@@ -118,6 +124,8 @@ class Planning:
         for each in switches:
             constant = ConstantSchedule(each, False), ConstantSchedule(each, True)
             proposals += [*constant, ChangingSchedules(each)]
+        if len(task.cost_terms().chain) >= _SEVERAL:
+            proposals.append(Leap())
         if not proposals:
             return ILQR(self.horizon, self.iterations, limits)
         size = len(limits.lower)

@@ -71,7 +71,7 @@ class Approaches(eqx.Module):
     to go round a body, and whose unit of speeds how fast.
     """
 
-    starts: int = eqx.field(static=True, default=64)
+    starts: int = eqx.field(static=True, default=32)
 
     def __check_init__(self) -> None:
         if self.starts < _ELITES:
