@@ -108,6 +108,7 @@ class FetchTask(AdaptedTask):
     name: str
     """Of the task, and of its map."""
     environment_name: str
+    horizon, starts = 30, 32
     max_force: float | None = MAX_DISPLACEMENT
 
     def __init__(self) -> None:

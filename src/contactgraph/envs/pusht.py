@@ -79,6 +79,7 @@ class PushTTask(AdaptedTask):
     expert = partial(PushPolicy, STYLE, noise=0.01, variety=0.5)
     fixed_start = demonstrator = partial(PushPolicy, STYLE)
     explorer = partial(RandomPushes, STYLE, noise=0.02)
+    horizon, starts = 30, 32
     success_terms: Mapping[str, Any] = {
         "cost": ChainCost((0, 1), NEAR_WEIGHTS, GOAL_WEIGHTS, CONTROL_WEIGHT),
         "max_steps": MAX_STEPS,
