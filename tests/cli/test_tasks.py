@@ -91,7 +91,7 @@ def test_collect_and_control_take_a_class(
     calls = interrupted("contactgraph.policies.task_policy")
     assert cli.run(["control", "pickup", LINE, "--distractors", "1"]) == 130
     (call,) = calls
-    assert type(call.arguments[1]).__name__ == "Line"
+    assert type(call.arguments[1]).__name__ == "Line" and call.arguments[2].horizon == 20
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,8 @@ def test_a_class_has_the_defaults_of_a_shipped_task(own_task: str) -> None:
     assert plans("own_task:Long") == (45, 0, 7, 0.02, "the control is a displacement")
     assert plans("pickup") == (20, 0, 0, None, "the control is a force")
     loaded = Planning().chosen(begun("multi-pickup", objects=5), MODEL)
-    assert (loaded.horizon, loaded.reason) == (35, "a force moves 6 bodies")
+    assert (loaded.horizon, loaded.leap, loaded.reason) == (35, True, "a force moves 6 bodies")
+    assert Planning(leap=False).chosen(begun("multi-pickup", objects=5), MODEL).leap is False
     assert plans("billiards") == (60, 64, 0, None, "the task says so")
     assert plans("pickup", horizon=9, starts=8) == (9, 8, 0, None, "as asked for")
 

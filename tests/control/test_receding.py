@@ -46,7 +46,7 @@ def test_the_guess_is_improved_too() -> None:
     assert again.cost <= (1.0 + 1e-5) * best.cost
 
 
-@pytest.mark.parametrize(("segment", "stride"), [(16, 7), (70, 5), (10, 20), (10, 0)])
-def test_what_is_refused(segment: int, stride: int) -> None:
+@pytest.mark.parametrize(("segment", "stride"), [(16, 7), (70, 5), (10, 20), (10, 0), (0, None)])
+def test_what_is_refused(segment: int, stride: int | None) -> None:
     with pytest.raises(InvalidInputError, match="stride must be 1 to segment"):
         solve(replace(PLANNER, proposals=(ShortPlans(segment, stride),)))

@@ -227,4 +227,4 @@ def test_a_task_s_cost_follows_the_chain_of_each_episode() -> None:
     for seed in range(3):
         task.reset(seed=seed)
         assert cost.in_scene(task.scene).order == (0, 1 + seed)
-    assert cost.terms.chain == (0, 1)
+    assert cost.order == (0, 1)

@@ -236,7 +236,9 @@ class Control(BeliefOptions, SceneOptions):
             clearance=self.clearance,
             planner=planner,
         ).chosen(task, model, cost)
+        check_range("--horizon", plans.horizon or 0, 1, 1000)
         check_range("--segment", self.segment, 0, plans.horizon or 0)
+        check_range("--clearance", plans.clearance or 0, 0, 10)
         policy = task_policy(
             model,
             task,
@@ -262,6 +264,7 @@ class Control(BeliefOptions, SceneOptions):
             "approaches": plans.starts,
             "routes": plans.routes,
             "steps of short plans": self.segment,
+            "leap": 0 if planner else int(plans.leap or 0),
         }
         search = "; ".join(["iLQR", *(f"{n} {what}" for what, n in tried.items() if n)])
         how = f"{self.planner or search} ({plans.reason})"

@@ -163,10 +163,8 @@ class MPCPolicy:
         """The feedback of the plan's first step; raises before the first control step."""
         if self._scene is None or not self._steps:
             raise InvalidInputError("no feedback: the policy has made no step since reset")
-        feedback = plan_feedback(
-            self._steps[-1].plan, self._scene.dt, self._capacity, self._scene.dimension
-        )
-        origin = self._origin
+        scene, origin = self._scene, self._origin
+        feedback = plan_feedback(self._steps[-1].plan, scene.dt, self._capacity, scene.dimension)
         return lambda part, position, velocity: feedback.within(
             0, part, position - origin, velocity
         )
@@ -191,16 +189,11 @@ class MPCPolicy:
             raise InvalidInputError("nothing to record: the policy has made no step since reset")
         count, dt = self._scene.node_count, self._scene.dt
         probabilities = partial(edge_probabilities, count=count, holds=self._holds)
+        plans = [planned_positions(s.plan, s.position, s.velocity, dt) for s in self._steps]
         return EpisodeRecord(
             plan_ms=np.array([each.plan_ms for each in self._steps]),
             status=np.array([int(each.plan.status) for each in self._steps]),
-            plan=np.stack(
-                [
-                    planned_positions(each.plan, each.position, each.velocity, dt)
-                    for each in self._steps
-                ]
-            )
-            + self._origin,
+            plan=np.stack(plans) + self._origin,
             plan_belief=np.stack(
                 [
                     probabilities(each.plan.beliefs, np.asarray(each.plan.node_ids))
@@ -291,7 +284,7 @@ def plan_feedback(plan: Plan, dt: float, capacity: int, dimension: int) -> PlanF
     """The feedback along a plan with steps of ``dt`` s, padded to a ``capacity`` of nodes.
 
     It does not depend on nodes that are not active, nor on turns, but on D = ``dimension`` degrees
-    of freedom a node.
+    of freedom a node. Neither limits nor observations that are not finite are checked.
     """
     node_ids, slots = _present(plan, capacity)
     states, gains = np.asarray(plan.states, float), np.asarray(plan.policy.K, float)

@@ -68,6 +68,9 @@ class TaskCost:
     angle: float = 0.0
     """rad; the one that is equal to `ChainCost.goal_angle` and nearest to the node's own."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", self.order or self.terms.chain)
+
     def in_scene(self, scene: Scene) -> "TaskCost":
         """The cost with the scene's goal."""
         if scene.goal is None:

@@ -67,6 +67,8 @@ class Planning:
     """Of `ShortPlans`; 0: none."""
     clearance: float | None = None
     """Gap to be kept from bodies that the task does not name, m; 0 forbids touches alone."""
+    leap: bool | None = None
+    """Whether one start is a `Leap`."""
     planner: PlannerFactory | None = None
     """Makes another planner in the place of iLQR and its starts."""
     reason: str = "as asked for"
@@ -87,10 +89,11 @@ class Planning:
         kinds = sorted(_SERVOS & set(task.scene.control_kind or ()))
         reason = f"the control is a {kinds[0] if kinds else 'force'}"
         default, bodies = 30 if kinds else 20, len(task.cost_terms().chain)
-        if bodies >= _SEVERAL and not kinds:
+        several = bodies >= _SEVERAL and not kinds
+        if several:
             default, reason = round(20 * np.sqrt(bodies / 2)), f"a force moves {bodies} bodies"
         reason = reason if None in (horizon, starts) else "the task says so"
-        horizon = horizon or default
+        horizon = default if horizon is None else horizon
         if not getattr(cost, "contacts", True):
             horizon *= _HORIZON_WITHOUT_CONTACTS
         clearance = clearance if self.clearance is None else self.clearance
@@ -105,6 +108,7 @@ class Planning:
             starts=starts if self.starts is None else self.starts,
             routes=routes,
             clearance=clearance,
+            leap=several if self.leap is None else self.leap,
             reason=reason if self.horizon is None else self.reason,
         )
 
@@ -124,7 +128,7 @@ class Planning:
         for each in switches:
             constant = ConstantSchedule(each, False), ConstantSchedule(each, True)
             proposals += [*constant, ChangingSchedules(each)]
-        if len(task.cost_terms().chain) >= _SEVERAL:
+        if self.leap:
             proposals.append(Leap())
         if not proposals:
             return ILQR(self.horizon, self.iterations, limits)

@@ -34,8 +34,8 @@ class ShortPlans(eqx.Module):
         planner = problem.planner
         horizon, stride = planner.horizon, self.stride
         if stride is None:
-            most = min(5, self.segment)
-            stride = next(each for each in range(most, 0, -1) if horizon % each == 0)
+            divisors = (each for each in range(min(5, self.segment), 0, -1) if horizon % each == 0)
+            stride = next(divisors, 1)
         if not 1 <= stride <= self.segment <= horizon or horizon % stride:
             raise InvalidInputError(
                 "stride must be 1 to segment, segment at most the horizon, and the horizon a "
